@@ -1,0 +1,200 @@
+"""One Registry per stage: built-ins named in a table, third parties by entry point or by file, imported when chosen."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar, cast
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from rapidfuzz import process
+
+from toolkit.errors import ToolkitError
+
+
+class PluginConfig(BaseModel):
+    """Base of every plugin's settings: frozen, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Plugin:
+    """Base of every stage implementation.
+
+    Class attributes:
+        stage: the stage it implements, singular, as on the command line.
+        name: how users choose it.
+        version: part of every cache key; raise it when outputs change for reasons the source does not show.
+        Config: its settings.
+    """
+
+    stage: ClassVar[str]
+    name: ClassVar[str]
+    version: ClassVar[str] = "1"
+    Config: ClassVar[type[PluginConfig]] = PluginConfig
+
+    def __init__(self, config: PluginConfig | None = None) -> None:
+        self.config = config if config is not None else self.Config()
+
+    def check_ready(self) -> None:
+        """Raise ToolkitError when something it needs (a checkpoint, a device) cannot be had.
+
+        Called before any work starts.
+        """
+
+    def digests(self) -> dict[str, str]:
+        """sha256 by name of the weights it uses; part of every cache key and named in the result rows."""
+        return {}
+
+
+StageT = TypeVar("StageT")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Where one implementation lives: `module:attribute`, and who provides it."""
+
+    name: str
+    target: str
+    origin: str
+    load: Callable[[], Any]
+
+
+class Registry(Generic[StageT]):
+    """The implementations of one stage, by name.
+
+    Args:
+        stage: singular stage name, as on the command line.
+        group: the entry-point group third parties use.
+        builtins: name -> `module:Class`; nothing is imported until the name is chosen.
+    """
+
+    def __init__(self, stage: str, group: str, builtins: dict[str, str]) -> None:
+        self.stage = stage
+        self.group = group
+        self._entries: dict[str, list[Entry]] = {
+            name: [Entry(name, target, "toolkit", lambda target=target: _import(target))]
+            for name, target in builtins.items()
+        }
+        self._scanned = False
+
+    def register(self, plugin: type[Any], origin: str) -> None:
+        """Add a class; `origin` names who provides it in messages. Registering the same class again is harmless."""
+        target = f"{plugin.__module__}:{plugin.__qualname__}"
+        entry = Entry(plugin.name, target, origin, lambda: plugin)
+        others = [e for e in self._entries.get(plugin.name, []) if (e.target, e.origin) != (target, origin)]
+        self._entries[plugin.name] = [*others, entry]
+
+    def names(self) -> list[str]:
+        """All names, sorted; nothing is imported."""
+        self._scan()
+        return sorted(self._entries)
+
+    def entries(self) -> list[Entry]:
+        """All entries, sorted by name; nothing is imported."""
+        self._scan()
+        return [entry for name in sorted(self._entries) for entry in self._entries[name]]
+
+    def get(self, name: str) -> type[Plugin]:
+        """Import and return the class registered as `name`.
+
+        Raises:
+            ToolkitError: unknown name (the nearest is offered), two providers of one name, or a plugin that does not
+                import.
+        """
+        self._scan()
+        if name not in self._entries:
+            raise ToolkitError(f"unknown {self.stage} '{name}'{suggest(name, self.names())}")
+        entries = self._entries[name]
+        if len(entries) > 1:
+            origins = " and ".join(f"{e.origin} ({e.target})" for e in entries)
+            raise ToolkitError(f"two plugins are called {self.stage} '{name}': {origins}; rename or remove one")
+        try:
+            loaded = entries[0].load()
+        except Exception as error:
+            raise ToolkitError(
+                f"{self.stage} '{name}' from {entries[0].origin} cannot be loaded: {type(error).__name__}: {error}"
+            ) from error
+        if not (isinstance(loaded, type) and issubclass(loaded, Plugin)):
+            raise ToolkitError(f"{self.stage} '{name}' from {entries[0].origin} is not a toolkit Plugin class")
+        return loaded
+
+    def create(self, name: str, settings: dict[str, Any] | None = None) -> StageT:
+        """Make the implementation `name` with `settings` checked against its Config.
+
+        Raises:
+            ToolkitError: as `get`; or a setting is unknown (the nearest is offered) or does not fit.
+        """
+        plugin = self.get(name)
+        return cast(StageT, plugin(self.config(plugin, settings or {})))
+
+    def config(self, plugin: type[Plugin], settings: dict[str, Any]) -> PluginConfig:
+        """Check `settings` against `plugin.Config`; raises ToolkitError with the key and the reason."""
+        return validated(plugin.Config, settings, f"{self.stage} '{plugin.name}'")
+
+    def _scan(self) -> None:
+        if self._scanned:
+            return
+        self._scanned = True
+        for point in entry_points(group=self.group):
+            origin = point.dist.name if point.dist is not None else point.value
+            self._entries.setdefault(point.name, []).append(Entry(point.name, point.value, origin, point.load))
+
+
+def suggest(word: str, choices: list[str]) -> str:
+    """The tail of an unknown-name message: the nearest choice, or all of them."""
+    nearest = process.extractOne(word, choices, score_cutoff=60)
+    if nearest:
+        return f"; did you mean '{nearest[0]}'?"
+    return f"; choose from: {', '.join(choices)}" if choices else ""
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def validated(model: type[ModelT], settings: dict[str, Any], what: str) -> ModelT:
+    """Build a pydantic model, turning its first error into one sentence.
+
+    Raises:
+        ToolkitError: an unknown key (the nearest is offered) or a value that does not fit.
+    """
+    try:
+        return model.model_validate(settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            hint = suggest(str(first["loc"][-1]), list(model.model_fields)) if len(first["loc"]) == 1 else ""
+            raise ToolkitError(f"{what}: unknown setting '{path}'{hint}") from error
+        raise ToolkitError(f"{what}: setting '{path}': {first['msg']} (got {first.get('input')!r})") from error
+
+
+def load_plugin_file(path: Path) -> Any:
+    """Import a plugin file that is not installed (`--plugin my_matcher.py`) and return its module.
+
+    Raises:
+        ToolkitError: there is no such file, or it does not import.
+    """
+    if not path.is_file():
+        raise ToolkitError(f"plugin file '{path}' does not exist")
+    name = f"toolkit_plugin_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ToolkitError(f"plugin file '{path}' is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ToolkitError(f"plugin file '{path}' cannot be loaded: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _import(target: str) -> Any:
+    module, _, attribute = target.partition(":")
+    return getattr(importlib.import_module(module), attribute)
