@@ -1,4 +1,4 @@
-"""SE(3), pinhole projection and lifting, in NumPy. Units are metres, radians and pixels unless a name says otherwise."""
+"""SE(3), pinhole projection and lifting, in NumPy. Metres, radians and pixels unless a name says otherwise."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def look_at(eye: Float, target: Float, up: tuple[float, float, float] = (0.0, 0.
 
 
 def project(K: Float, T_camera_world: Float, points: Float) -> tuple[Float, Float]:
-    """Project (N, 3) world points. Returns (N, 2) pixels and (N,) depths in metres; pixels are NaN behind the camera."""
+    """Project (N, 3) world points to (N, 2) pixels and (N,) depths in metres; pixels are NaN behind the camera."""
     in_camera = transform_points(T_camera_world, points)
     depth = in_camera[:, 2]
     safe = np.where(depth > 1e-9, depth, np.nan)

@@ -296,6 +296,8 @@ class PoseEstimate:
         confidence: 0..1, or None where the pipeline gives none.
         correspondences: what the pose was solved from, or None.
         inliers: (N,) bool over the correspondences, or None.
+        candidates: (database row, number of correspondences) of every accepted candidate, in the order in which the
+            correspondences are joined.
         matcher_calls: goal-candidate pairs that were matched locally.
         time_ms: milliseconds by stage.
         cached: True when any stage output came from the cache, so that `time_ms` is not the stage's own time.
@@ -309,6 +311,7 @@ class PoseEstimate:
     confidence: float | None = None
     correspondences: Correspondences | None = None
     inliers: Mask | None = None
+    candidates: tuple[tuple[int, int], ...] = ()
     matcher_calls: int = 0
     time_ms: Mapping[str, float] = field(default_factory=dict[str, float])
     cached: bool = False

@@ -1,0 +1,80 @@
+"""Where captures come from: a folder of them, or the tabletop benchmark, built when first needed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolkit.data.dataset import cached_dataset, read_dataset
+from toolkit.data.tabletop import TabletopConfig
+from toolkit.errors import ToolkitError
+from toolkit.progress import Progress
+from toolkit.registry import validated
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A list of capture folders.
+
+    Attributes:
+        captures: the folders; the position is the scene id.
+        made: how they were made (dataset.json), or where they lie.
+    """
+
+    captures: tuple[Path, ...]
+    made: dict[str, Any]
+
+
+def tabletop_config(settings: Mapping[str, Any], seed: int) -> TabletopConfig:
+    """Check the `dataset:` part of an experiment that asks for the tabletop benchmark.
+
+    Raises:
+        ToolkitError: an unknown key or a value that does not fit.
+    """
+    return validated(TabletopConfig, {"seed": seed, **settings}, "dataset")
+
+
+def open_dataset(
+    settings: Mapping[str, Any], seed: int, cache: Path, workers: int = 1, progress: Progress | None = None
+) -> Dataset:
+    """Find or build the captures an experiment's `dataset:` part names.
+
+    Args:
+        settings: `{path: FOLDER}`, optionally with `scenes`; or the tabletop benchmark's settings.
+        seed: the benchmark's seed, unless the settings name one.
+        cache: where object sets and built scenes are kept.
+        workers: processes that build.
+        progress: shows a bar.
+
+    Raises:
+        ToolkitError: the folder is no dataset, or the settings do not fit.
+    """
+    if "path" in settings:
+        return _existing(settings)
+    config = tabletop_config(settings, seed)
+    with (progress or Progress()).step("Building scenes", config.scenes) as advance:
+        done = 0
+
+        def report(finished: int, _: int) -> None:
+            nonlocal done
+            advance(finished - done)
+            done = finished
+
+        folder = cached_dataset(config, cache, workers, report)
+    made = json.loads((folder / "dataset.json").read_text())
+    return Dataset(tuple(read_dataset(folder)[: config.scenes]), made)
+
+
+def _existing(settings: Mapping[str, Any]) -> Dataset:
+    unknown = sorted(set(settings) - {"path", "scenes"})
+    if unknown:
+        raise ToolkitError(f"dataset: '{unknown[0]}' cannot be set for captures that exist already (path is given)")
+    folder = Path(settings["path"])
+    captures = read_dataset(folder)
+    scenes = settings.get("scenes", len(captures))
+    if not isinstance(scenes, int) or not 1 <= scenes <= len(captures):
+        raise ToolkitError(f"dataset: scenes is {scenes!r}, but '{folder}' holds {len(captures)} captures")
+    return Dataset(tuple(captures[:scenes]), {"path": str(folder.resolve())})

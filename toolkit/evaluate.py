@@ -1,0 +1,170 @@
+"""Pose estimates of one capture: scored into rows where the truth is known, written as poses.json and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from toolkit.database import Database
+from toolkit.errors import ToolkitError
+from toolkit.files import write_json
+from toolkit.geometry import invert, project
+from toolkit.metrics import assign_goal_objects, pose_error
+from toolkit.pictures import correspondences, overlay
+from toolkit.results import Row
+from toolkit.types import Capture, Float, PoseEstimate, TrueObject
+
+POSES_SCHEMA = 1
+
+
+def score(
+    capture: Capture,
+    estimates: Sequence[PoseEstimate],
+    *,
+    cell: str = "",
+    settings: Mapping[str, Any] | None = None,
+    scene_id: int = 0,
+    weights: Mapping[str, str] | None = None,
+) -> list[Row]:
+    """One row for every true object; one that no estimate answers is a row of status `missed`.
+
+    Raises:
+        ToolkitError: the capture has no truth, or its goal image no true masks.
+    """
+    if capture.truth is None or capture.goal.true_masks is None:
+        raise ToolkitError(f"capture {capture.name} has no ground truth to score against")
+    answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks)
+    rows: list[Row] = []
+    for instance_id, truth in sorted(capture.truth.items()):
+        estimate = estimates[answers[instance_id]] if instance_id in answers else None
+        rows.append(
+            Row(
+                cell=cell,
+                settings=dict(settings or {}),
+                scene_id=scene_id,
+                scene=capture.name,
+                object=instance_id,
+                object_name=truth.model.name,
+                weights=dict(weights or {}),
+                **_truth_fields(truth),
+                **_answer_fields(estimate, truth),
+            )
+        )
+    return rows
+
+
+def _truth_fields(truth: TrueObject) -> dict[str, Any]:
+    model = truth.model
+    symmetry = "continuous" if len(model.continuous_axes) else "discrete" if len(model.discrete_symmetries) else "none"
+    return {"symmetry": symmetry}
+
+
+def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str, Any]:
+    if estimate is None:
+        return {"status": "missed", "stage": "segmenter", "reason": "no goal segment covers the object"}
+    fields: dict[str, Any] = {
+        "status": estimate.status,
+        "confidence": estimate.confidence,
+        "instance": estimate.instance,
+        "matcher_calls": estimate.matcher_calls,
+        "correspondences": 0 if estimate.correspondences is None else len(estimate.correspondences),
+        "inliers": 0 if estimate.inliers is None else int(estimate.inliers.sum()),
+        "time_ms": dict(estimate.time_ms),
+        "cached": estimate.cached,
+    }
+    if estimate.failure is not None:
+        return {**fields, "stage": estimate.failure.stage, "reason": estimate.failure.reason}
+    assert estimate.T_goal_current is not None
+    error = pose_error(estimate.T_goal_current, truth)
+    return {
+        **fields,
+        "rotation_error_deg": error.rotation_error_deg,
+        "translation_error_cm": error.translation_error_cm,
+        "rotation_error_deg_sym": error.rotation_error_deg_sym,
+        "translation_error_cm_sym": error.translation_error_cm_sym,
+        "success": error.success,
+        "success_sym": error.success_sym,
+        "T_goal_current": estimate.T_goal_current.tolist(),
+    }
+
+
+def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> Path:
+    """Write OUT/poses.json (DESIGN 6), the goal masks, and the pictures beside it. Returns the path of poses.json."""
+    masks = out / "masks"
+    masks.mkdir(parents=True, exist_ok=True)
+    objects: list[dict[str, Any]] = []
+    for estimate in estimates:
+        name = f"masks/{estimate.goal_object:06d}.png"
+        _write_png(out / name, estimate.segment.mask.astype(np.uint8) * 255)
+        failure, motion = estimate.failure, estimate.T_goal_current
+        objects.append(
+            {
+                "goal_object": estimate.goal_object,
+                "bbox_xyxy": list(estimate.segment.bbox_xyxy),
+                "mask": name,
+                "instance": estimate.instance,
+                "status": estimate.status,
+                "T_goal_current": None if motion is None else motion.tolist(),
+                "confidence": estimate.confidence,
+                "stage": failure.stage if failure else None,
+                "reason": failure.reason if failure else None,
+                "time_ms": {stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
+            }
+        )
+    path = out / "poses.json"
+    write_json(path, {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects})
+    write_pictures(out, capture, database, estimates)
+    return path
+
+
+_COLORS = {"estimated": (40, 200, 90), "failed": (230, 60, 50)}
+
+
+def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:
+    """Write OUT/overlay.png, and OUT/matches_<object>.png for every object that has correspondences."""
+    _write_png(out / "overlay.png", overlay_picture(capture, database, estimates))
+    for estimate in estimates:
+        picture = matches_picture(capture, database, estimate)
+        if picture is not None:
+            _write_png(out / f"matches_{estimate.goal_object:06d}.png", picture)
+
+
+def overlay_picture(capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> np.ndarray:
+    """The goal image (H, W, 3 uint8) with the outline of every estimated object where its motion puts it."""
+    outlines: list[tuple[str, Float, tuple[int, int, int]]] = []
+    for estimate in estimates:
+        if estimate.T_goal_current is None or estimate.instance is None:
+            continue
+        points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
+        outlines.append((str(estimate.goal_object), estimate.move(points), _COLORS[estimate.status]))
+    return overlay(capture.goal, outlines)
+
+
+def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:
+    """The correspondences of one object, goal beside current frames (uint8 RGB); None when there are none."""
+    problem = estimate.correspondences
+    if problem is None or not len(problem):
+        return None
+    rows = np.repeat([row for row, _ in estimate.candidates], [count for _, count in estimate.candidates])
+    frame_of = np.array([database.regions[row].frame_index for row in rows])
+    frames = {frame.index: frame for frame in database.frames}
+    xy = np.zeros((len(problem), 2))
+    for index in np.unique(frame_of):
+        camera = frames[int(index)].camera
+        seen = frame_of == index
+        xy[seen] = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
+    inliers = np.zeros(len(problem), bool) if estimate.inliers is None else estimate.inliers
+    images = {index: frames[index].rgb for index in map(int, np.unique(frame_of))}
+    return correspondences(capture.goal.rgb, problem.pixels, images, frame_of, xy, inliers)
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    encoded = image if image.ndim == 2 else image[..., ::-1]
+    ok, data = cv2.imencode(".png", encoded)
+    if not ok:
+        raise ToolkitError(f"picture '{path}' cannot be encoded")
+    path.write_bytes(data.tobytes())

@@ -1,0 +1,280 @@
+"""YAML -> validated experiment -> cells. A cell is one complete setting; a sweep is the product of its lists."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from toolkit.errors import ToolkitError
+from toolkit.pipeline import Pipeline, PipelineSettings, Stages
+from toolkit.registry import Plugin, Registry, load_plugin_file, suggest, validated
+from toolkit.slots import SLOTS
+from toolkit.stages import REGISTRIES, register_module
+
+class StageChoice(BaseModel):
+    """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    name: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The implementation's own settings, not yet checked."""
+        return dict(self.model_extra or {})
+
+
+class PipelineChoice(PipelineSettings):
+    """The `pipeline:` part of an experiment: one choice a slot, and the pipeline's own settings."""
+
+    segmenter: StageChoice
+    goal_segmenter: StageChoice
+    associator: StageChoice
+    descriptor: StageChoice
+    index: StageChoice
+    retriever: StageChoice
+    matcher: StageChoice
+    pnp: StageChoice
+
+    @field_validator(*SLOTS, mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+
+class CellSpec(BaseModel):
+    """A named cell of an experiment that is not a product: what it changes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    set: dict[str, Any] = Field(default_factory=dict[str, Any], description="Changed values by path.")
+
+
+class Experiment(BaseModel):
+    """A validated experiment file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    description: str = ""
+    seed: int = Field(0, ge=0)
+    plugins: tuple[Path, ...] = ()
+    dataset: dict[str, Any]
+    pipeline: dict[str, Any]
+    cells: tuple[CellSpec, ...] = ()
+    sweep: dict[str, list[Any]] = Field(default_factory=dict[str, list[Any]])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One complete setting of an experiment.
+
+    Attributes:
+        name: what sets it apart, e.g. `matcher=sift,views=1`; the experiment's name when nothing is swept.
+        settings: the swept values by path.
+        seed: the experiment's seed.
+        dataset: the `dataset:` part, with the sweep applied.
+        pipeline: the `pipeline:` part, checked.
+    """
+
+    name: str
+    settings: dict[str, Any]
+    seed: int
+    dataset: dict[str, Any]
+    pipeline: PipelineChoice
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything that decides this cell's results, with every default written out."""
+        pipeline = self.pipeline.model_dump(mode="json")
+        for slot, stage in SLOTS.items():
+            choice: StageChoice = getattr(self.pipeline, slot)
+            registry = REGISTRIES[stage]
+            config = registry.config(registry.get(choice.name), choice.settings)
+            pipeline[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+        return {
+            "cell": self.name,
+            "settings": self.settings,
+            "seed": self.seed,
+            "dataset": self.dataset,
+            "pipeline": pipeline,
+        }
+
+
+def shipped_experiments() -> dict[str, Path]:
+    """Experiments that travel with the package, by name; in a checkout, those of `experiments/`."""
+    packaged = Path(str(files("toolkit"))) / "experiments"
+    folder = packaged if packaged.is_dir() else Path(__file__).parent.parent / "experiments"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_experiment(name_or_path: str, overrides: Mapping[str, Sequence[Any]] | None = None) -> Experiment:
+    """Read an experiment by shipped name or by path, and apply command-line overrides.
+
+    Args:
+        name_or_path: `quick`, or `my/experiment.yaml`.
+        overrides: path -> values; one value replaces, several sweep.
+
+    Raises:
+        ToolkitError: no such experiment, YAML that does not parse (file and line), unknown keys or wrong values.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in {".yaml", ".yml"}:
+        shipped = shipped_experiments()
+        if name_or_path not in shipped:
+            raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
+        path = shipped[name_or_path]
+    data = _read_yaml(path)
+    for key, values in (overrides or {}).items():
+        _override(data, key, list(values))
+    experiment = validated(Experiment, data, f"experiment '{path}'")
+    for plugin in experiment.plugins:
+        file = plugin if plugin.is_absolute() else path.parent / plugin
+        register_plugin_file(file)
+    return experiment
+
+
+def register_plugin_file(file: Path) -> None:
+    """Load a plugin file that is not installed and register its classes.
+
+    Raises:
+        ToolkitError: the file is absent, does not import, or holds no plugin.
+    """
+    if register_module(load_plugin_file(file), origin=str(file)) == 0:
+        raise ToolkitError(f"plugin file '{file}' defines no Plugin class with `stage` and `name`")
+
+
+def expand(experiment: Experiment) -> list[Cell]:
+    """The product of the named cells and the sweep, every stage name and setting checked.
+
+    Raises:
+        ToolkitError: an unknown path, stage name or setting, or two cells that come out the same.
+    """
+    bases = experiment.cells or (CellSpec(name=""),)
+    paths = list(experiment.sweep)
+    cells: list[Cell] = []
+    for base in bases:
+        for values in itertools.product(*experiment.sweep.values()):
+            swept = dict(zip(paths, values, strict=True))
+            data = {"dataset": copy.deepcopy(experiment.dataset), "pipeline": copy.deepcopy(experiment.pipeline)}
+            for path, value in {**base.set, **swept}.items():
+                _assign(data, path, value)
+            parts = [base.name] if base.name else []
+            parts += [f"{_short(path)}={_label(value)}" for path, value in swept.items()]
+            name = ",".join(parts) or experiment.name
+            pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
+            cell = Cell(
+                name,
+                {**({"cell": base.name} if base.name else {}), **swept},
+                experiment.seed,
+                data["dataset"],
+                pipeline,
+            )
+            cell.resolved()
+            cells.append(cell)
+    names = [cell.name for cell in cells]
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled:
+        raise ToolkitError(f"two cells are called '{doubled}'; give every swept value once")
+    return cells
+
+
+def build_stages(pipeline: PipelineChoice) -> Stages:
+    """Make the stage implementations of a pipeline.
+
+    Raises:
+        ToolkitError: as `Registry.create`.
+    """
+    return Stages(**{slot: create_stage(pipeline, slot) for slot in SLOTS})
+
+
+def build_pipeline(cell: Cell) -> Pipeline:
+    """Make a cell's pipeline, without a cache."""
+    return Pipeline(build_stages(cell.pipeline), own_settings(cell.pipeline), cell.seed)
+
+
+def own_settings(pipeline: PipelineChoice) -> PipelineSettings:
+    """The pipeline's own settings, without the stage choices."""
+    return PipelineSettings(**{name: getattr(pipeline, name) for name in PipelineSettings.model_fields})
+
+
+def create_stage(pipeline: PipelineChoice, slot: str) -> Plugin:
+    """Make the implementation that fills one slot."""
+    choice: StageChoice = getattr(pipeline, slot)
+    registry: Registry[Any] = REGISTRIES[SLOTS[slot]]
+    return registry.create(choice.name, choice.settings)
+
+
+def parse_set(option: str) -> tuple[str, list[Any]]:
+    """Split `path.to.key=v1,v2` into the path and its YAML values.
+
+    Raises:
+        ToolkitError: there is no `=`, or a value is not YAML.
+    """
+    path, separator, text = option.partition("=")
+    if not separator or not path or not text:
+        raise ToolkitError(f"--set takes path.to.key=value[,value], got '{option}'")
+    try:
+        return path, [yaml.safe_load(value) for value in text.split(",")]
+    except yaml.YAMLError as error:
+        raise ToolkitError(f"--set {path}: '{text}' is not a list of YAML values") from error
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ToolkitError(f"experiment '{path}' cannot be read: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise ToolkitError(f"experiment '{path}'{line}: {problem}") from error
+    if not isinstance(data, dict):
+        raise ToolkitError(f"experiment '{path}' must be a mapping with name, dataset and pipeline")
+    return data
+
+
+def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
+    """Apply a command-line choice: it replaces what the file set or swept at that path."""
+    data.setdefault("sweep", {}).pop(path, None)
+    if len(values) == 1:
+        _assign(data, path, values[0])
+    else:
+        data["sweep"][path] = values
+
+
+def _assign(data: dict[str, Any], path: str, value: Any) -> None:
+    """Set a dotted path. Naming another implementation drops the former one's settings."""
+    *parents, last = path.split(".")
+    node: Any = data
+    for depth, key in enumerate(parents):
+        child = node.get(key)
+        if isinstance(child, str) and key in SLOTS:
+            child = node[key] = {"name": child}
+        if not isinstance(child, dict):
+            where = ".".join(parents[: depth + 1])
+            raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
+        node = child
+    same = isinstance(node.get(last), dict) and node[last].get("name") == value
+    if not (last in SLOTS and same):
+        node[last] = value
+
+
+def _short(path: str) -> str:
+    parts = path.removeprefix("pipeline.").removeprefix("dataset.").split(".")
+    return parts[0] if parts[1:] == ["name"] else ".".join(parts)
+
+
+def _label(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "+".join(str(item) for item in value.values())
+    return str(value)

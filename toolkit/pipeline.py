@@ -1,0 +1,263 @@
+"""Frames and goal image -> database -> pose estimates. No I/O, and no knowledge of which stage is behind a name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.crops import crop_region
+from toolkit.database import Database
+from toolkit.errors import ToolkitError
+from toolkit.lifting import lift_matches, merge
+from toolkit.meter import Meter
+from toolkit.regions import lift_segment
+from toolkit.registry import PluginConfig
+from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Retriever, Segmenter
+from toolkit.types import (
+    Capture,
+    Correspondences,
+    Crop,
+    Failure,
+    Frame,
+    PnPSolution,
+    PoseEstimate,
+    Region,
+    Segment,
+)
+
+
+class PipelineSettings(PluginConfig):
+    """What the pipeline itself decides, besides its stages."""
+
+    views: int | Literal["all"] = Field("all", description="Current frames used, evenly spaced from the first; or all.")
+    fuse: Literal["all", "first"] = Field(
+        "all", description="Solve from all accepted candidates of the instance, or from the first accepted (the paper)."
+    )
+    min_matches: int = Field(6, ge=3, description="Lifted matches a candidate needs to be accepted.")
+    crop_margin: float = Field(0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
+
+
+@dataclass(frozen=True)
+class Stages:
+    """One implementation for every stage of the perception module."""
+
+    segmenter: Segmenter
+    goal_segmenter: Segmenter
+    associator: Associator
+    descriptor: Descriptor
+    index: Index
+    retriever: Retriever
+    matcher: Matcher
+    pnp: PnP
+
+
+@dataclass(frozen=True)
+class _Accepted:
+    row: int
+    correspondences: Correspondences
+
+
+@dataclass
+class _Search:
+    """What trying one goal object's candidates has found so far."""
+
+    accepted: list[_Accepted] = field(default_factory=list[_Accepted])
+    matcher_calls: int = 0
+    most_matches: int = 0
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """The perception module of Sec. Method A.
+
+    Args:
+        stages: the implementations.
+        settings: the pipeline's own choices.
+        seed: makes every random choice; the same seed gives the same bytes.
+        meter: where stage times go; share it with caching wrappers.
+    """
+
+    stages: Stages
+    settings: PipelineSettings = field(default_factory=PipelineSettings)
+    seed: int = 0
+    meter: Meter = field(default_factory=Meter)
+
+    def run(self, capture: Capture) -> list[PoseEstimate]:
+        """Estimate the motion of every goal object of a capture."""
+        database = self.build_database(capture.current)
+        return self.estimate(database, capture.goal)
+
+    def build_database(self, frames: Sequence[Frame]) -> Database:
+        """Database construction: segment, lift, associate and describe every region of the chosen frames.
+
+        Raises:
+            ToolkitError: more views are asked for than there are, or a stage refuses its input.
+        """
+        frames = self._choose_views(frames)
+        regions: list[Region] = []
+        dropped = 0
+        with self.meter.stage("segmenter"):
+            segments = [(frame, s) for frame in frames for s in self.stages.segmenter.segment(frame, frames)]
+            for frame, segment in segments:
+                lifted = lift_segment(frame, segment)
+                if isinstance(lifted, Region):
+                    regions.append(lifted)
+                else:
+                    dropped += 1
+        if not regions:
+            return Database(tuple(frames), (), np.zeros(0, np.int64), np.zeros((0, 1), np.float32), dropped)
+        with self.meter.stage("associator"):
+            instances = self.stages.associator.associate(regions, frames)
+        frame_of = {frame.index: frame for frame in frames}
+        with self.meter.stage("descriptor"):
+            size = self.stages.descriptor.crop_size
+            crops = [self._crop(frame_of[r.frame_index], r.segment, size) for r in regions]
+            descriptors = self.stages.descriptor.describe(crops)
+        return Database(tuple(frames), tuple(regions), instances, descriptors, dropped)
+
+    def estimate(self, database: Database, goal: Frame) -> list[PoseEstimate]:
+        """Pose estimation: one estimate for every object segmented in the goal image.
+
+        The database's share of the time is spread evenly over the objects.
+        """
+        with self.meter.stage("segmenter"):
+            segments = self.stages.goal_segmenter.segment(goal, database.frames)
+        if not segments:
+            return []
+        rankings: list[np.ndarray] = []
+        if len(database):
+            with self.meter.stage("descriptor"):
+                size = self.stages.descriptor.crop_size
+                queries = self.stages.descriptor.describe([self._crop(goal, s, size) for s in segments])
+            with self.meter.stage("index"):
+                self.stages.index.build(database.descriptors)
+                rankings = list(self.stages.index.search(queries, len(database))[1])
+        shared_ms, shared_cached = self.meter.take()
+        shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
+        references = _References(self, database)
+        estimates: list[PoseEstimate] = []
+        for number, segment in enumerate(segments):
+            if rankings:
+                estimate = self._estimate_object(references, goal, number, segment, rankings[number])
+            else:
+                failure = Failure("segmenter", "no object region was found in the current frames")
+                estimate = PoseEstimate(number, segment, None, None, failure)
+            own_ms, own_cached = self.meter.take()
+            time_ms = {s: shared_ms.get(s, 0.0) + own_ms.get(s, 0.0) for s in {**shared_ms, **own_ms}}
+            estimates.append(replace(estimate, time_ms=time_ms, cached=shared_cached or own_cached))
+        return estimates
+
+    def _estimate_object(
+        self, references: _References, goal: Frame, number: int, segment: Segment, ranking: np.ndarray
+    ) -> PoseEstimate:
+        database = references.database
+        search = self._search(references, goal, segment, ranking)
+        if not search.accepted:
+            reason = f"no candidate reached {self.settings.min_matches} lifted matches (best: {search.most_matches})"
+            failure = Failure("matcher", reason)
+            return PoseEstimate(number, segment, None, None, failure, matcher_calls=search.matcher_calls)
+        best: PoseEstimate | None = None
+        for instance in dict.fromkeys(int(database.instances[a.row]) for a in search.accepted):
+            accepted = [a for a in search.accepted if database.instances[a.row] == instance]
+            estimate = self._solve(accepted, goal, number, segment, instance)
+            if best is None or _support(estimate) > _support(best):
+                best = estimate
+        assert best is not None
+        return replace(best, matcher_calls=search.matcher_calls)
+
+    def _search(self, references: _References, goal: Frame, segment: Segment, ranking: np.ndarray) -> _Search:
+        """Try candidates in the retriever's order; stop at the first accepted one when `fuse` is `first`."""
+        database, search = references.database, _Search()
+        with self.meter.stage("retriever"):
+            traversal = self.stages.retriever.start(ranking, database.instances, database.observations)
+        query_crop = self._crop(goal, segment, self.stages.matcher.crop_size)
+        with self.meter.stage("matcher"):
+            query = self.stages.matcher.extract([query_crop])[0]
+        batch = 1 if self.settings.fuse == "first" else len(database)
+        while rows := traversal.next(batch):
+            with self.meter.stage("matcher"):
+                matches = self.stages.matcher.match(query, references.features(rows))
+            search.matcher_calls += len(rows)
+            for row, found in zip(rows, matches, strict=True):
+                region = database.regions[row]
+                lifted = lift_matches(
+                    found, query_crop, references.crops[row], database.frame_of(row), region.segment.mask, goal.camera.K
+                )
+                search.most_matches = max(search.most_matches, len(lifted))
+                if len(lifted) >= self.settings.min_matches and self._acceptable(lifted):
+                    search.accepted.append(_Accepted(row, lifted))
+                else:
+                    traversal.reject(row)
+            if self.settings.fuse == "first" and search.accepted:
+                break
+        return search
+
+    def _acceptable(self, lifted: Correspondences) -> bool:
+        """With `first`, a candidate whose matches admit no pose is rejected, and the traversal goes on."""
+        if self.settings.fuse == "all":
+            return True
+        with self.meter.stage("pnp"):
+            return isinstance(self.stages.pnp.solve(lifted, self.seed), PnPSolution)
+
+    def _solve(
+        self, accepted: list[_Accepted], goal: Frame, number: int, segment: Segment, instance: int
+    ) -> PoseEstimate:
+        problem = merge([a.correspondences for a in accepted])
+        candidates = tuple((a.row, len(a.correspondences)) for a in accepted)
+        with self.meter.stage("pnp"):
+            solution = self.stages.pnp.solve(problem, self.seed)
+        if isinstance(solution, Failure):
+            return PoseEstimate(
+                number, segment, instance, None, solution, correspondences=problem, candidates=candidates
+            )
+        return PoseEstimate(
+            number,
+            segment,
+            instance,
+            goal.camera.T_world_camera @ solution.T_camera_world,
+            correspondences=problem,
+            inliers=solution.inliers,
+            candidates=candidates,
+        )
+
+    def _choose_views(self, frames: Sequence[Frame]) -> list[Frame]:
+        views = self.settings.views
+        if views == "all":
+            return list(frames)
+        if not 1 <= views <= len(frames):
+            raise ToolkitError(f"pipeline.views is {views}, but the capture has {len(frames)} current frames")
+        return [frames[len(frames) * i // views] for i in range(views)]
+
+    def _crop(self, frame: Frame, segment: Segment, size: int) -> Crop:
+        return crop_region(frame.rgb, segment, size, self.settings.crop_margin)
+
+
+class _References:
+    """Candidate crops and features of one database, made when first asked for and used for every goal object."""
+
+    def __init__(self, pipeline: Pipeline, database: Database) -> None:
+        self.database = database
+        self.crops: dict[int, Crop] = {}
+        self._features: dict[int, object] = {}
+        self._pipeline = pipeline
+
+    def features(self, rows: Sequence[int]) -> list[object]:
+        """The matcher's features of regions `rows`, extracting the missing ones in one batch."""
+        missing = [row for row in rows if row not in self._features]
+        if missing:
+            matcher = self._pipeline.stages.matcher
+            for row in missing:
+                frame, region = self.database.frame_of(row), self.database.regions[row]
+                self.crops[row] = self._pipeline._crop(frame, region.segment, matcher.crop_size)  # pyright: ignore[reportPrivateUsage]
+            extracted = matcher.extract([self.crops[row] for row in missing])
+            self._features.update(zip(missing, extracted, strict=True))
+        return [self._features[row] for row in rows]
+
+
+def _support(estimate: PoseEstimate) -> int:
+    """Inliers behind an estimate; a failure has fewer than any solution."""
+    return -1 if estimate.inliers is None else int(estimate.inliers.sum())

@@ -1,0 +1,85 @@
+"""What all PnP solvers share: settings, and the checks that turn bad problems and bad poses into Failures."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.geometry import project
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Correspondences, Failure, Float, Mask, PnPSolution
+
+_MIN_CORRESPONDENCES = 4
+"""Three points leave up to four poses; the fourth decides."""
+
+_COLLINEAR = 1e-3
+"""Points whose second extent is below this share of their first lie on a line: the turn about it is not observable."""
+
+
+class PnPConfig(PluginConfig):
+    """Settings every solver understands."""
+
+    reprojection_px: float = Field(3.0, gt=0, le=100, description="largest reprojection error of an inlier, pixels")
+    iterations: int = Field(2000, ge=1, le=1_000_000, description="largest number of minimal samples")
+    min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="fewest inliers of an accepted pose")
+    confidence: float = Field(0.9999, gt=0, lt=1, description="wanted probability of an outlier-free sample")
+
+
+class RobustPnP(Plugin):
+    """Base of the solvers: a subclass gives the pose, this class says whether it can be believed."""
+
+    stage = "pnp"
+    Config = PnPConfig
+    config: PnPConfig
+
+    def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
+        """Return a (4, 4) T_camera_world that may be wrong or not finite, or None when none was found."""
+        raise NotImplementedError
+
+    def solve(self, problem: Correspondences, seed: int) -> PnPSolution | Failure:
+        """Return the checked pose and its inliers, or a Failure that says why there is none.
+
+        Inliers are counted here, for every solver alike: in front of the camera and within `reprojection_px`.
+        """
+        reason = problem_fault(problem, self.config)
+        if reason:
+            return Failure(self.stage, reason)
+        T = self.find_pose(problem, seed)
+        if T is None or not np.isfinite(T).all():
+            return Failure(self.stage, "no pose agrees with the correspondences")
+        inliers, depth = reprojection_inliers(problem, T, self.config.reprojection_px)
+        reason = pose_fault(problem, inliers, depth, self.config)
+        return Failure(self.stage, reason) if reason else PnPSolution(T, inliers)
+
+
+def problem_fault(problem: Correspondences, config: PnPConfig) -> str | None:
+    """Say why a problem cannot be solved by anyone, or None."""
+    if len(problem) < config.min_inliers:
+        return f"{len(problem)} correspondences, at least {config.min_inliers} are needed"
+    return "the points are collinear or coincide" if _collinear(problem.points) else None
+
+
+def reprojection_inliers(problem: Correspondences, T: Float, threshold_px: float) -> tuple[Mask, Float]:
+    """(N,) bool, reprojected within `threshold_px` and in front of the camera, and the (N,) depths in metres."""
+    pixels, depth = project(problem.K, T, problem.points)
+    # NaN (behind the camera) compares false.
+    return np.linalg.norm(pixels - problem.pixels, axis=1) <= threshold_px, depth
+
+
+def pose_fault(problem: Correspondences, inliers: Mask, depth: Float, config: PnPConfig) -> str | None:
+    """Say why a pose with these inliers and (N,) depths cannot be believed, or None."""
+    if np.median(depth) <= 0:
+        return "the object is behind the camera"
+    if inliers.sum() < config.min_inliers:
+        return f"{int(inliers.sum())} inliers of {len(problem)}, at least {config.min_inliers} are needed"
+    if _collinear(problem.points[inliers]):
+        return "the inliers are collinear or coincide"
+    if np.ptp(problem.pixels[inliers], axis=0).max() <= 2 * config.reprojection_px:
+        # Any pose that is far enough away explains them.
+        return "the inliers are one spot in the image"
+    return None
+
+
+def _collinear(points: Float) -> bool:
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extents[1] <= _COLLINEAR * extents[0])

@@ -1,0 +1,37 @@
+"""Progress bars with an estimate of the time left, or silence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+
+Advance = Callable[[int], None]
+
+
+class Progress:
+    """Shows one bar per step on `console`; with None it shows nothing."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console
+
+    @contextmanager
+    def step(self, title: str, total: int) -> Iterator[Advance]:
+        """A bar that advances by the number handed to the yielded function."""
+        if self._console is None:
+            yield lambda _: None
+            return
+        columns = (
+            TextColumn("{task.description:<24}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        with RichProgress(*columns, console=self._console) as bars:
+            bar = bars.add_task(title, total=total)
+            yield lambda count: bars.advance(bar, count)

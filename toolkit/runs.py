@@ -1,0 +1,121 @@
+"""Run folders: runs/<name>/<time>/, what is written before the first row, and how a run is taken up again."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from toolkit import __version__
+from toolkit.cache import library_versions
+from toolkit.digests import digest
+from toolkit.errors import ToolkitError
+from toolkit.files import write_json, write_text
+from toolkit.results import read_rows, write_rows
+
+ROWS = "rows.jsonl"
+RESOLVED = "experiment.resolved.yaml"
+META = "meta.json"
+
+
+def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume: bool, fresh: bool) -> Path:
+    """Make the run's folder, or find the one to go on with.
+
+    Args:
+        name: the experiment's name.
+        resolved: everything that decides the rows; a run is resumed only where it is the same.
+        out: the folder, or None for runs/<name>/<time>/.
+        resume: go on in `out`, or in the newest unfinished or finished run of the same settings.
+        fresh: empty `out` first where it holds a run.
+
+    Raises:
+        ToolkitError: the folder holds a run and neither was asked for; there is nothing to resume; the settings differ.
+    """
+    if resume:
+        return _resumable(name, resolved, out)
+    run = out or Path("runs") / name / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    if (run / ROWS).exists() and not fresh:
+        raise ToolkitError(f"'{run}' already holds a run; add --resume to go on with it or --fresh to start again")
+    if fresh and (run / RESOLVED).exists():
+        shutil.rmtree(run)
+    run.mkdir(parents=True, exist_ok=True)
+    write_text(run / RESOLVED, yaml.safe_dump(dict(resolved), sort_keys=False))
+    return run
+
+
+def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path:
+    candidates = [out] if out else sorted((Path("runs") / name).glob("*"), reverse=True)
+    for run in candidates:
+        if (run / RESOLVED).exists() and digest(yaml.safe_load((run / RESOLVED).read_text())) == digest(resolved):
+            return run
+    where = f"'{out}'" if out else f"'{Path('runs') / name}'"
+    raise ToolkitError(f"{where} holds no run with these settings to resume; leave --resume out to start one")
+
+
+def finished(run: Path) -> set[tuple[str, int]]:
+    """(cell, scene) pairs that already have their rows. A torn last line, as a kill leaves it, is cut off."""
+    rows = read_rows(run / ROWS) if (run / ROWS).exists() else []
+    write_rows(run / ROWS, rows)
+    return {(row.cell, row.scene_id) for row in rows}
+
+
+def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]) -> None:
+    """Write meta.json: commit, versions, device, weights and how every dataset was made."""
+    write_json(
+        run / META,
+        {
+            "toolkit": __version__,
+            **_commit(),
+            "command": sys.argv,
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "processor": _processor(),
+            "cores": len(os.sched_getaffinity(0)),
+            "versions": library_versions(),
+            "weights": dict(weights),
+            "datasets": [dict(dataset) for dataset in datasets],
+        },
+    )
+
+
+@contextmanager
+def writable(what: str) -> Iterator[None]:
+    """Turn a full disk or a folder without permission into one clear sentence.
+
+    Raises:
+        ToolkitError: an OSError was raised inside the block.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ToolkitError(f"cannot write {what}: {error.strerror or error}; finished rows are kept") from error
+
+
+def _commit() -> dict[str, Any]:
+    def git(*arguments: str) -> str | None:
+        folder = Path(__file__).parent
+        try:
+            done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            return None
+        return done.stdout.strip()
+
+    status = git("status", "--porcelain")
+    return {"commit": git("rev-parse", "HEAD"), "dirty": None if status is None else bool(status)}
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

@@ -1,0 +1,13 @@
+"""Pipeline slots by stage. Imports nothing, so that the command line starts at once."""
+
+SLOTS: dict[str, str] = {
+    "segmenter": "segmenter",
+    "goal_segmenter": "segmenter",
+    "associator": "associator",
+    "descriptor": "descriptor",
+    "index": "index",
+    "retriever": "retriever",
+    "matcher": "matcher",
+    "pnp": "pnp",
+}
+"""Pipeline slot -> the stage that fills it. Every slot is a command-line option and a key under `pipeline`."""

@@ -1,0 +1,174 @@
+"""One scene through the cells of an experiment: the unit of work that travels to a process."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from toolkit.cache import (
+    Cache,
+    CachedDescriptor,
+    CachedMatcher,
+    CachedSegmenter,
+    library_versions,
+    plugin_identity,
+)
+from toolkit.data.bop import load_capture
+from toolkit.digests import digest, source_digest
+from toolkit.errors import ToolkitError
+from toolkit.evaluate import score
+from toolkit.experiment import Cell, create_stage, own_settings, register_plugin_file
+from toolkit.meter import Meter
+from toolkit.pipeline import Pipeline, Stages
+from toolkit.results import Row
+from toolkit.slots import SLOTS
+from toolkit.types import Capture, Failure, PoseEstimate, Segment
+
+_WRAPPERS: dict[str, Any] = {
+    "segmenter": CachedSegmenter,
+    "goal_segmenter": CachedSegmenter,
+    "descriptor": CachedDescriptor,
+    "matcher": CachedMatcher,
+}
+"""Slots whose outputs are worth keeping."""
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """One scene and the cells to run on it.
+
+    Attributes:
+        scene_id: number of the scene in its dataset.
+        capture: its capture folder.
+        cells: the cells that have no rows for it yet.
+        cache: where stage outputs and rows are kept, or None.
+        plugin_files: plugin files to load first.
+    """
+
+    scene_id: int
+    capture: Path
+    cells: tuple[Cell, ...]
+    cache: Cache | None
+    plugin_files: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class CellRunner:
+    """A cell made ready to run.
+
+    Attributes:
+        cell: its settings.
+        pipeline: its stages, wrapped by the cache where there is one.
+        identity: digest of all that decides its rows, besides the capture.
+        weights: sha256 by name of the weights its stages use.
+    """
+
+    cell: Cell
+    pipeline: Pipeline
+    identity: str
+    weights: dict[str, str]
+
+    def rows(self, capture: Capture, scene_id: int) -> list[Row]:
+        """Estimate and score one capture."""
+        estimates = self._estimates(capture)
+        return score(
+            capture,
+            estimates,
+            cell=self.cell.name,
+            settings=self.cell.settings,
+            scene_id=scene_id,
+            weights=self.weights,
+        )
+
+    def _estimates(self, capture: Capture) -> list[PoseEstimate]:
+        """A stage that breaks on one scene fails that scene's objects by name; the run goes on."""
+        try:
+            return self.pipeline.run(capture)
+        except ToolkitError:
+            raise
+        except Exception as error:
+            failure = Failure("pipeline", f"{type(error).__name__}: {error}")
+            masks = (capture.goal.true_masks or {}).values()
+            return [PoseEstimate(i, Segment(mask), None, None, failure) for i, mask in enumerate(masks)]
+
+
+def make_runner(cell: Cell, cache: Cache | None) -> CellRunner:
+    """Make a cell's stages and pipeline.
+
+    Raises:
+        ToolkitError: a stage cannot be made.
+    """
+    meter = Meter()
+    plugins = {slot: create_stage(cell.pipeline, slot) for slot in SLOTS}
+    stages: dict[str, Any] = dict(plugins)
+    if cache is not None:
+        for slot, wrapper in _WRAPPERS.items():
+            stages[slot] = wrapper(stages[slot], plugins[slot], cache, meter)
+    identity = [
+        cell.resolved(),
+        {slot: plugin_identity(plugin) for slot, plugin in plugins.items()},
+        source_digest("toolkit.pipeline"),
+        source_digest("toolkit.evaluate"),
+        library_versions(),
+    ]
+    weights = {name: sha256 for plugin in plugins.values() for name, sha256 in plugin.digests().items()}
+    return CellRunner(
+        cell, Pipeline(Stages(**stages), own_settings(cell.pipeline), cell.seed, meter), digest(identity), weights
+    )
+
+
+def run_scene(task: SceneTask) -> list[Row]:
+    """Rows of one scene for every cell of the task, from the cache where it has them.
+
+    Raises:
+        ToolkitError: the capture cannot be read, or a stage refuses its input.
+    """
+    capture = load_capture(task.capture)
+    rows: list[Row] = []
+    for cell in task.cells:
+        runner = _runner(cell, task.cache)
+        key = digest([runner.identity, capture.digest, task.scene_id])
+        stored = task.cache.load(key) if task.cache else None
+        if stored is None:
+            fresh = runner.rows(capture, task.scene_id)
+            if task.cache:
+                task.cache.store(key, {"rows": np.array([row.model_dump_json() for row in fresh], dtype=np.str_)})
+            rows += fresh
+        else:
+            served = [Row.model_validate_json(line) for line in stored["rows"].tolist()]
+            rows += [row.model_copy(update={"cached": True}) for row in served]
+    return rows
+
+
+def run_scene_in_process(task: SceneTask) -> tuple[SceneTask, list[Row]]:
+    """`run_scene` in a worker process: one thread a process, so that workers do not fight for cores."""
+    cv2.setNumThreads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    _load_plugins(task.plugin_files)
+    return task, run_scene(task)
+
+
+@lru_cache
+def _load_plugins(files: tuple[Path, ...]) -> None:
+    for file in files:
+        register_plugin_file(file)
+
+
+_runners: dict[str, CellRunner] = {}
+
+
+def _runner(cell: Cell, cache: Cache | None) -> CellRunner:
+    """Runners stay in their process: a network is loaded once, not once a scene."""
+    key = json.dumps([cell.resolved(), str(cache)], sort_keys=True)
+    if key not in _runners:
+        _runners[key] = make_runner(cell, cache)
+    return _runners[key]
+
