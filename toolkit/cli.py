@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,8 @@ from toolkit.errors import ToolkitError
 from toolkit.slots import SLOTS
 
 if TYPE_CHECKING:
-    from toolkit.experiment import Experiment
+    from toolkit.experiment import Cell, Experiment
+    from toolkit.registry import Registry
 
 app = typer.Typer(
     name="toolkit",
@@ -24,9 +26,7 @@ app = typer.Typer(
     add_completion=False,
 )
 dataset_app = typer.Typer(help="Make or inspect a benchmark.", no_args_is_help=True)
-weights_app = typer.Typer(help="Checkpoints: what there is, where it lies, fetching it.", no_args_is_help=True)
 app.add_typer(dataset_app, name="dataset")
-app.add_typer(weights_app, name="weights")
 
 ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
@@ -71,8 +71,8 @@ def with_experiment_options(command: Callable[..., None]) -> Callable[..., None]
     return wrapper
 
 
-def read_experiment(name: str, choices: dict[str, Any], dataset: dict[str, Any] | None = None) -> Experiment:
-    """The experiment with the command line's choices applied; `dataset` replaces its dataset part."""
+def read_experiment(name: str, choices: dict[str, Any]) -> Experiment:
+    """The experiment with the command line's choices applied."""
     from toolkit.experiment import load_experiment, parse_set, register_plugin_file
 
     for file in choices["plugin"]:
@@ -81,7 +81,7 @@ def read_experiment(name: str, choices: dict[str, Any], dataset: dict[str, Any] 
     overrides |= dict(parse_set(option) for option in choices["set"])
     if choices["seed"] is not None:
         overrides["seed"] = [choices["seed"]]
-    return load_experiment(name, overrides, dataset)
+    return load_experiment(name, overrides)
 
 
 @app.command()
@@ -104,7 +104,7 @@ def ablate(
 
     from toolkit.ablate import RunOptions, run_experiment
     from toolkit.progress import Progress
-    from toolkit.results import read_rows, summarize
+    from toolkit.results import print_table, read_rows, summarize
     from toolkit.runs import ROWS
 
     for key, value in (("objects", objects), ("scenes", scenes)):
@@ -122,7 +122,7 @@ def ablate(
     )
     run = run_experiment(read_experiment(experiment, choices), options, Progress(Console(stderr=True)))
     print_table(summarize(read_rows(run / ROWS)), console)
-    console.print(f"\nReport: [link]{run / 'report.html'}[/link]", highlight=False)
+    console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -134,12 +134,178 @@ def estimate(
     *,
     choices: dict[str, Any],
 ) -> None:
-    """Estimate the motion of every object of one capture: poses.json and pictures."""
+    """Estimate the motion of every object of one capture: poses.json, and pictures to judge them by."""
     from rich.console import Console
 
-    from toolkit.estimate import estimate_folder
+    from toolkit.estimate import estimate_folder, poses_table
 
-    cell = _single_cell(experiment, choices)
-    written = estimate_folder(capture, cell, out or Path("runs") / "estimate" / capture.resolve().name)
-    Console().print(written.table())
-    Console().print(f"\nWritten: {written.poses}", highlight=False)
+    folder = out or Path("runs") / "estimate" / capture.resolve().name
+    estimates = estimate_folder(capture, _single_cell(experiment, choices), folder)
+    console = Console()
+    console.print(poses_table(estimates))
+    console.print(f"\nWritten: {folder / 'poses.json'}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+@with_experiment_options
+def evaluate(
+    dataset: Annotated[Path, typer.Argument(help="A folder of captures.")],
+    experiment: ExperimentArgument = "estimate",
+    out: OutOption = None,
+    *,
+    choices: dict[str, Any],
+) -> None:
+    """Estimate every capture of a folder; where the truth is present, score it too."""
+    from rich.console import Console
+
+    from toolkit.estimate import evaluate_folder
+    from toolkit.progress import Progress
+    from toolkit.results import print_table, summarize
+
+    folder = out or Path("runs") / "evaluate" / dataset.resolve().name
+    progress = Progress(Console(stderr=True))
+    rows = evaluate_folder(dataset, _single_cell(experiment, choices), folder, progress)
+    console = Console()
+    if rows:
+        print_table(summarize(rows), console)
+    console.print(f"\nWritten: {folder}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
+    """Print a run's table again and write its report.html anew."""
+    from rich.console import Console
+
+    from toolkit.report import write_report
+    from toolkit.results import print_table, read_rows, summarize
+    from toolkit.runs import ROWS
+
+    if not (run / ROWS).is_file():
+        raise ToolkitError(f"'{run}' is not a run folder: it has no {ROWS}")
+    console = Console()
+    print_table(summarize(read_rows(run / ROWS)), console)
+    console.print(f"\nReport: {write_report(run)}", highlight=False, soft_wrap=True)
+
+
+@app.command("list")
+def list_stages(stage: Annotated[str | None, typer.Argument(help="A stage; all when left out.")] = None) -> None:
+    """List the implementations of every stage; one that cannot be loaded is marked."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("stage", "name", "from", "what it is")
+    for registry in _registries(stage):
+        for entry in registry.entries():
+            table.add_row(registry.stage, entry.name, entry.origin, _summary(registry, entry.name))
+    Console().print(table)
+
+
+@app.command()
+def show(
+    stage: Annotated[str, typer.Argument(help="A stage, e.g. matcher.")],
+    name: Annotated[str, typer.Argument(help="An implementation, e.g. sift.")],
+) -> None:
+    """Show one implementation: what it does, its settings with defaults, its version."""
+    from rich.console import Console
+    from rich.table import Table
+
+    (registry,) = _registries(stage)
+    plugin = registry.get(name)
+    console = Console()
+    console.print(f"[bold]{stage} {name}[/bold]  version {plugin.version}  ({plugin.__module__})", highlight=False)
+    console.print(inspect.getdoc(plugin) or "", markup=False, highlight=False)
+    table = Table("setting", "default", "meaning")
+    for key, info in plugin.Config.model_fields.items():
+        table.add_row(key, "required" if info.is_required() else repr(info.default), info.description or "")
+    if plugin.Config.model_fields:
+        console.print(table)
+
+
+@app.command()
+def doctor() -> None:
+    """Say what this machine has: versions, cores, renderer, cache, and every plugin that cannot be loaded."""
+    from rich.console import Console
+
+    from toolkit.doctor import diagnose
+
+    console = Console()
+    for line in diagnose():
+        console.print(line, highlight=False)
+
+
+@dataset_app.command("build")
+def dataset_build(
+    out: Annotated[Path, typer.Argument(help="Folder to write the captures to.")],
+    objects: Annotated[str, typer.Option(help="'procedural', or a folder of scanned objects.")] = "procedural",
+    scenes: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 150,
+    seed: Annotated[int, typer.Option(min=0, help="Benchmark seed.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
+    settings: Annotated[list[str], typer.Option("--set", help="key=value of the benchmark.")] = [],  # noqa: B006
+) -> None:
+    """Build a tabletop benchmark: a folder of captures in the BOP layout."""
+    from rich.console import Console
+
+    from toolkit.data.source import build_tabletop
+    from toolkit.experiment import parse_set
+    from toolkit.progress import Progress
+
+    chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
+    config = {"objects": objects, "scenes": scenes, "seed": seed, **chosen}
+    build_tabletop(config, out, workers or _cores(), Progress(Console(stderr=True)))
+    Console().print(f"Written: {out}", highlight=False, soft_wrap=True)
+
+
+@dataset_app.command("show")
+def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captures.")]) -> None:
+    """Say how a benchmark was made and what it holds, and draw its first scenes."""
+    from rich.console import Console
+
+    from toolkit.data.inspect import describe, contact_sheet
+
+    console = Console()
+    for line in describe(dataset):
+        console.print(line, highlight=False)
+    console.print(f"Picture: {contact_sheet(dataset)}", highlight=False, soft_wrap=True)
+
+
+def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:
+    from toolkit.experiment import expand
+
+    cells = expand(read_experiment(experiment, choices))
+    if len(cells) > 1:
+        raise ToolkitError(f"this command runs one setting, but {len(cells)} are asked for; use `toolkit ablate` to sweep")
+    return cells[0]
+
+
+def _registries(stage: str | None) -> list[Registry[Any]]:
+    from toolkit.registry import suggest
+    from toolkit.stages import REGISTRIES
+
+    if stage is None:
+        return list(REGISTRIES.values())
+    if stage not in REGISTRIES:
+        raise ToolkitError(f"unknown stage '{stage}'{suggest(stage, list(REGISTRIES))}")
+    return [REGISTRIES[stage]]
+
+
+def _summary(registry: Registry[Any], name: str) -> str:
+    try:
+        return (inspect.getdoc(registry.get(name)) or "").partition("\n")[0]
+    except ToolkitError as error:
+        return f"[red]cannot be used: {error}[/red]"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+def main() -> None:
+    """Entry point: a user's mistake is answered in one or two lines and exit code 2, never with a traceback."""
+    try:
+        app()
+    except ToolkitError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
+        sys.exit(130)

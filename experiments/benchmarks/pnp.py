@@ -169,9 +169,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         solved = [(a, b, p) for a, b, p in pairs if a is not None and b is not None]
         same_verdict = np.mean([(a is None) == (b is None) for a, b, _ in pairs])
         differences = np.array([pose_error(a, b, p.centre) for a, b, p in solved]).reshape(-1, 2)
-        cells = [f"{m:.4f} / {p90:.4f}" for m, p90 in zip(*np.quantile(differences, [0.5, 0.9], axis=0), strict=True)]
+        quantiles = np.quantile(differences, [0.5, 0.99, 1.0], axis=0).T
+        cells = [" / ".join(f"{value:.1e}" for value in column) for column in quantiles]
         agreement.append([f"{rate:.0%}", *cells, f"{100 * same_verdict:.1f}"])
-    print("jax_ransac against poselib, distance between their poses, median / p90\n")
+    print("jax_ransac against poselib, distance between their poses, median / p99 / largest\n")
     print(table(["outliers", "rotation, deg", "translation, mm", "same verdict, %"], agreement))
 
     timing: list[list[str]] = []
