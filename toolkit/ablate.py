@@ -14,14 +14,13 @@ from toolkit.data.bop import load_capture
 from toolkit.data.source import Dataset, open_dataset
 from toolkit.digests import digest
 from toolkit.evaluate import write_case
-from toolkit.experiment import Cell, Experiment, create_stage, expand
+from toolkit.experiment import Cell, Experiment, expand
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.report import write_report
 from toolkit.results import Row, append_rows, read_rows, summarize, write_rows, write_summary
 from toolkit.runs import ROWS, finished, open_run, writable, write_meta
-from toolkit.slots import SLOTS
-from toolkit.worker import SceneTask, make_runner, run_scene, run_scene_in_process
+from toolkit.worker import SceneTask, make_runner, require_ready, run_scene, run_scene_in_process
 
 WORST_CASES = 8
 """Objects shown as pictures in the report."""
@@ -61,7 +60,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, progress: Progre
     """
     progress = progress or Progress()
     cells = expand(experiment)
-    weights = _check_ready(cells)
+    weights = require_ready(cells)
     cache = Cache(cache_root() / "stages") if options.use_cache else None
     resolved = {"experiment": experiment.name, "cells": [cell.resolved() for cell in cells]}
     with writable("the run folder"):
@@ -83,17 +82,6 @@ def run_experiment(experiment: Experiment, options: RunOptions, progress: Progre
             write_report(run)
             advance(1)
     return run
-
-
-def _check_ready(cells: Sequence[Cell]) -> dict[str, str]:
-    """Say what a stage lacks before any work starts; returns the sha256 of all weights by name."""
-    weights: dict[str, str] = {}
-    for cell in cells:
-        for slot in SLOTS:
-            plugin = create_stage(cell.pipeline, slot)
-            plugin.check_ready()
-            weights |= plugin.digests()
-    return weights
 
 
 def _dataset_key(cell: Cell) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.evaluate import score, write_poses
 from toolkit.experiment import Cell
-from toolkit.files import write_text
+from toolkit.geometry import rotation_angle
 from toolkit.progress import Progress
 from toolkit.results import Row, summarize, write_rows, write_summary
 from toolkit.runs import ROWS, writable
@@ -57,19 +58,26 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
 
 
 def poses_table(estimates: Sequence[PoseEstimate]) -> Table:
-    """The estimates as a table for the terminal."""
-    table = Table("object", "status", "instance", "inliers", "moves by (cm)", "turns by (deg)", "why")
+    """The estimates as a table for the terminal: how far every object's seen points move on average, and turn."""
+    table = Table("object", "status", "instance", "inliers", "moves (cm)", "turns (deg)", "why not")
     for estimate in estimates:
-        moved = _motion_cells(estimate)
-        reason = f"{estimate.failure.stage}: {estimate.failure.reason}" if estimate.failure else ""
-        inliers = "" if estimate.inliers is None else str(int(estimate.inliers.sum()))
-        instance = "" if estimate.instance is None else str(estimate.instance)
-        table.add_row(str(estimate.goal_object), estimate.status, instance, inliers, *moved, reason)
+        table.add_row(
+            str(estimate.goal_object),
+            estimate.status,
+            "" if estimate.instance is None else str(estimate.instance),
+            "" if estimate.inliers is None else str(int(estimate.inliers.sum())),
+            *_motion(estimate),
+            f"{estimate.failure.stage}: {estimate.failure.reason}" if estimate.failure else "",
+        )
     return table
 
 
-def _motion_cells(estimate: PoseEstimate) -> tuple[str, str]:
-    return ("", "")
+def _motion(estimate: PoseEstimate) -> tuple[str, str]:
+    if estimate.T_goal_current is None or estimate.correspondences is None:
+        return "", ""
+    points = estimate.correspondences.points
+    moved = np.linalg.norm(estimate.move(points) - points, axis=1).mean()
+    return f"{moved * 100:.1f}", f"{np.degrees(rotation_angle(estimate.T_goal_current[:3, :3])):.1f}"
 
 
 def _estimate(capture: Capture, runner: CellRunner, out: Path) -> list[PoseEstimate]:
@@ -78,6 +86,3 @@ def _estimate(capture: Capture, runner: CellRunner, out: Path) -> list[PoseEstim
     with writable(f"'{out}'"):
         write_poses(out, capture, database, estimates)
     return estimates
-
-
-__all__ = ["estimate_folder", "evaluate_folder", "poses_table", "write_text"]

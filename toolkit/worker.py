@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -172,3 +173,17 @@ def _runner(cell: Cell, cache: Cache | None) -> CellRunner:
         _runners[key] = make_runner(cell, cache)
     return _runners[key]
 
+
+def require_ready(cells: Sequence[Cell]) -> dict[str, str]:
+    """Make sure of every stage before any work starts; returns the sha256 of all weights by name.
+
+    Raises:
+        ToolkitError: a stage cannot be made, or lacks something such as a checkpoint.
+    """
+    weights: dict[str, str] = {}
+    for cell in cells:
+        for slot in SLOTS:
+            plugin = create_stage(cell.pipeline, slot)
+            plugin.check_ready()
+            weights |= plugin.digests()
+    return weights

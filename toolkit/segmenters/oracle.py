@@ -1,0 +1,36 @@
+"""True masks as segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from toolkit.errors import ToolkitError
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Frame, Segment
+
+
+class OracleSegmenterConfig(PluginConfig):
+    """Settings of the `oracle` segmenter."""
+
+    min_pixels: int = Field(1, ge=1, description="Objects with fewer visible pixels are not seen.")
+
+
+class OracleSegmenter(Plugin):
+    """The true visible masks (mask_visib), in order of object id: what a perfect segmenter would return."""
+
+    stage = "segmenter"
+    name = "oracle"
+    Config = OracleSegmenterConfig
+    config: OracleSegmenterConfig
+
+    def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
+        """Return the frame's true masks; raises ToolkitError where the truth is not known."""
+        if frame.true_masks is None:
+            raise ToolkitError(
+                f"the oracle segmenter needs true masks (mask_visib/), and frame {frame.index} has none; "
+                "choose another one, e.g. --segmenter depth_plane --goal-segmenter table_appearance"
+            )
+        masks = [frame.true_masks[key] for key in sorted(frame.true_masks)]
+        return [Segment(mask) for mask in masks if mask.sum() >= self.config.min_pixels]
