@@ -1,0 +1,217 @@
+"""One PyBullet client: objects placed exactly, and rendered by the camera model the rest of the toolkit uses."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from toolkit.data.objects import ObjectAsset
+from toolkit.errors import ToolkitError
+from toolkit.geometry import invert
+from toolkit.types import Camera, Float, Image
+
+Renderer = Literal["tiny", "egl"]
+
+_NEAR_M, _FAR_M = 0.2, 4.0
+"""Tight enough that the 24-bit z-buffer resolves less than 0.01 mm at a metre."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """A distant light.
+
+    Attributes:
+        direction: (x, y, z) from the scene to the light, world coordinates.
+        ambient: light from everywhere, 0..1.
+        diffuse: light from the direction, 0..1.
+    """
+
+    direction: tuple[float, float, float] = (0.3, -0.6, 1.0)
+    ambient: float = 0.55
+    diffuse: float = 0.45
+
+
+class World:
+    """A PyBullet client of its own; use it as a context manager.
+
+    Args:
+        renderer: `tiny` (TinyRenderer, always there) or `egl` (PyBullet's plug-in).
+
+    Raises:
+        ToolkitError: `egl` was asked for and does not load on this machine.
+    """
+
+    def __init__(self, renderer: Renderer = "tiny") -> None:
+        self.client: int = pybullet.connect(pybullet.DIRECT)
+        self._renderer = pybullet.ER_TINY_RENDERER
+        # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/test_world.py measures it).
+        self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
+        self._textures: dict[Path, int] = {}
+        if renderer == "egl":
+            with _silence():
+                loaded = _load_egl(self.client)
+            if not loaded:
+                self.close()
+                raise ToolkitError("PyBullet's EGL renderer does not load here; set dataset.renderer to tiny")
+            self._renderer = pybullet.ER_BULLET_HARDWARE_OPENGL
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect the client."""
+        with _silence():
+            pybullet.disconnect(self.client)
+
+    def add_visual(self, mesh: Path, texture: Path, T_world_object: Float) -> int:
+        """Place a textured mesh that collides with nothing; returns its body id."""
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0], physicsClientId=self.client
+        )
+        body = pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
+        if texture not in self._textures:
+            self._textures[texture] = pybullet.loadTexture(str(texture), physicsClientId=self.client)
+        pybullet.changeVisualShape(
+            body, -1, textureUniqueId=self._textures[texture], physicsClientId=self.client
+        )
+        self.move(body, T_world_object)
+        return int(body)
+
+    def add_asset(self, asset: ObjectAsset, T_world_object: Float) -> int:
+        """Place an object's visual mesh; returns its body id."""
+        return self.add_visual(asset.mesh, asset.texture, T_world_object)
+
+    def move(self, body: int, T_world_object: Float) -> None:
+        """Put a body at a (4, 4) pose, exactly."""
+        quaternion = Rotation.from_matrix(T_world_object[:3, :3]).as_quat()
+        pybullet.resetBasePositionAndOrientation(
+            body, T_world_object[:3, 3].tolist(), quaternion.tolist(), physicsClientId=self.client
+        )
+
+    def remove(self, body: int) -> None:
+        """Take a body out of the world."""
+        pybullet.removeBody(body, physicsClientId=self.client)
+
+    def render(
+        self, camera: Camera, light: Light, supersample: int = 1
+    ) -> tuple[Image, Float, NDArray[np.int32]]:
+        """Render what a camera sees.
+
+        Args:
+            camera: intrinsics and pose.
+            light: the one light there is.
+            supersample: rendered pixels per pixel and axis; colours are averaged.
+
+        Returns:
+            (H, W, 3) uint8 colours, (H, W) float32 depth along z in metres (0 where nothing is), (H, W) int32 body ids
+            (-1 where nothing is).
+        """
+        width, height = camera.width * supersample, camera.height * supersample
+        with _silence() if self._renderer != pybullet.ER_TINY_RENDERER else contextlib.nullcontext():
+            _, _, rgba, zbuffer, ids = pybullet.getCameraImage(
+                width,
+                height,
+                _gl_view(camera),
+                _gl_projection(camera, self._sample_offset / supersample),
+                lightDirection=list(light.direction),
+                lightAmbientCoeff=light.ambient,
+                lightDiffuseCoeff=light.diffuse,
+                lightSpecularCoeff=0.0,
+                shadow=0,
+                renderer=self._renderer,
+                physicsClientId=self.client,
+            )
+        rgb = np.reshape(np.asarray(rgba, np.uint8), (height, width, 4))[..., :3]
+        z = np.reshape(np.asarray(zbuffer, np.float64), (height, width))
+        depth = _FAR_M * _NEAR_M / (_FAR_M - (_FAR_M - _NEAR_M) * z)
+        ids = np.reshape(np.asarray(ids, np.int32), (height, width))
+        depth = np.where(ids >= 0, depth, 0).astype(np.float32)
+        if supersample == 1:
+            return rgb.copy(), depth, ids
+        return _downsample(rgb, depth, ids, supersample)
+
+
+def _downsample(
+    rgb: Image, depth: Float, ids: NDArray[np.int32], factor: int
+) -> tuple[Image, Float, NDArray[np.int32]]:
+    """Average colours over blocks; depth is the harmonic mean (exact on planes) of the samples with the block's id."""
+    height, width = ids.shape[0] // factor, ids.shape[1] // factor
+
+    def blocks(image: NDArray[Any]) -> NDArray[Any]:
+        split = image.reshape(height, factor, width, factor, -1).swapaxes(1, 2)
+        return split.reshape(height, width, factor * factor, -1)
+
+    colors = np.rint(blocks(rgb).mean(axis=2, dtype=np.float32)).astype(np.uint8)
+    samples = blocks(ids)[..., 0]
+    block_ids = samples[..., (factor // 2) * (factor + 1)]
+    same = samples == block_ids[..., None]
+    inverse = np.where(same, 1 / np.maximum(blocks(depth)[..., 0], 1e-6), 0).sum(axis=2) / same.sum(axis=2)
+    return colors, np.where(block_ids >= 0, 1 / inverse, 0).astype(np.float32), block_ids
+
+
+def _gl_view(camera: Camera) -> list[float]:
+    T = np.diag([1.0, -1.0, -1.0, 1.0]) @ invert(camera.T_world_camera)
+    return T.T.ravel().tolist()
+
+
+def _gl_projection(camera: Camera, sample_offset: Float) -> list[float]:
+    """OpenGL's matrix for K, whose pixel (0, 0) is the centre of the top-left pixel; column-major.
+
+    `sample_offset` (2,) is where the renderer samples, relative to the pixel's centre, pixels.
+    """
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    cx, cy = camera.K[:2, 2] - sample_offset
+    w, h = camera.width, camera.height
+    P = np.zeros((4, 4))
+    P[0, 0], P[1, 1] = 2 * fx / w, 2 * fy / h
+    P[0, 2], P[1, 2] = 1 - 2 * (cx + 0.5) / w, 2 * (cy + 0.5) / h - 1
+    P[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
+    P[2, 3] = -2 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    P[3, 2] = -1
+    return P.T.ravel().tolist()
+
+
+def egl_loads() -> bool:
+    """Say whether PyBullet's EGL plug-in loads on this machine."""
+    with _silence():
+        client = pybullet.connect(pybullet.DIRECT)
+        loaded = _load_egl(client)
+        pybullet.disconnect(client)
+    return loaded
+
+
+def _load_egl(client: int) -> bool:
+    spec: Any = importlib.util.find_spec("eglRenderer")
+    if spec is None or spec.origin is None:
+        return False
+    return pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Keep PyBullet's C code from printing: it writes to the process's descriptors, not to sys.stdout."""
+    kept = [os.dup(descriptor) for descriptor in (1, 2)]
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for descriptor in (1, 2):
+            os.dup2(null, descriptor)
+        yield
+    finally:
+        for descriptor, saved in zip((1, 2), kept, strict=True):
+            os.dup2(saved, descriptor)
+            os.close(saved)
+        os.close(null)
