@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.data.dataset import cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.errors import ToolkitError
-from toolkit.progress import Progress
+from toolkit.paths import cache_root
+from toolkit.progress import Advance, Progress
 from toolkit.registry import validated
 
 
@@ -56,14 +57,7 @@ def open_dataset(
         return _existing(settings)
     config = tabletop_config(settings, seed)
     with (progress or Progress()).step("Building scenes", config.scenes) as advance:
-        done = 0
-
-        def report(finished: int, _: int) -> None:
-            nonlocal done
-            advance(finished - done)
-            done = finished
-
-        folder = cached_dataset(config, cache, workers, report)
+        folder = cached_dataset(config, cache, workers, _each(advance))
     made = json.loads((folder / "dataset.json").read_text())
     return Dataset(tuple(read_dataset(folder)[: config.scenes]), made)
 
@@ -78,3 +72,26 @@ def _existing(settings: Mapping[str, Any]) -> Dataset:
     if not isinstance(scenes, int) or not 1 <= scenes <= len(captures):
         raise ToolkitError(f"dataset: scenes is {scenes!r}, but '{folder}' holds {len(captures)} captures")
     return Dataset(tuple(captures[:scenes]), {"path": str(folder.resolve())})
+
+
+def build_tabletop(settings: Mapping[str, Any], out: Path, workers: int, progress: Progress) -> None:
+    """Build a tabletop benchmark in a folder of its own.
+
+    Raises:
+        ToolkitError: as `toolkit.data.dataset.build_dataset`.
+    """
+    config = validated(TabletopConfig, dict(settings), "dataset")
+    with progress.step("Building scenes", config.scenes) as advance:
+        build_dataset(config, out, cache_root(), workers, _each(advance))
+
+
+def _each(advance: Advance) -> Callable[[int, int], None]:
+    """Turn (finished, total) reports into steps of a bar."""
+    shown = 0
+
+    def report(finished: int, _: int) -> None:
+        nonlocal shown
+        advance(finished - shown)
+        shown = finished
+
+    return report

@@ -1,0 +1,207 @@
+"""The tabletop benchmark (Sec. Experiments / Dataset): one scene from its seed and number, whatever else is built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from toolkit.data import noise
+from toolkit.data.bop import write_capture
+from toolkit.data.layout import Placement, RestingObject, arrange, resting_poses
+from toolkit.data.objects import ObjectAsset, ObjectSet
+from toolkit.data.table import table_files
+from toolkit.errors import ToolkitError
+from toolkit.geometry import look_at, make_transform
+from toolkit.registry import PluginConfig
+from toolkit.sim.world import Light, World
+from toolkit.types import Camera, Float, Frame, Mask, TrueObject
+
+Effect = Literal["depth", "quantization", "dropout", "color", "light", "pose"]
+_TRACKS: dict[str, tuple[Effect, ...]] = {
+    "clean": (),
+    "d435": ("depth", "quantization", "dropout", "color", "light", "pose"),
+}
+
+_TABLE_RADIUS_M = 0.40
+_CAMERA_DISTANCE_M = 1.05
+_ELEVATION = np.radians(45)
+_HOME_AZIMUTH = np.radians(-90)
+_LOOK_AT = np.array([0.0, 0.0, 0.03])
+_BACKGROUND = np.array([96, 100, 104], np.uint8)
+_POSE_JITTER_DEG, _POSE_JITTER_M = 0.2, 0.002
+
+# Colour intrinsics as a factory-calibrated D435i reports them, rounded (librealsense, rs-enumerate-devices -c).
+_INTRINSICS = {
+    "640x480": (616.0, 616.0, 319.5, 239.5, 640, 480),
+    "1280x720": (912.0, 912.0, 639.5, 359.5, 1280, 720),
+}
+
+
+class TabletopConfig(PluginConfig):
+    """Settings of the tabletop benchmark."""
+
+    objects: str = Field("procedural", description="'procedural', or a folder of scanned objects.")
+    scenes: int = Field(150, ge=1, description="Number of scenes.")
+    seed: int = Field(0, ge=0, description="Benchmark seed.")
+    min_objects: int = Field(1, ge=1, description="Fewest objects a scene.")
+    max_objects: int = Field(9, ge=1, description="Most objects a scene.")
+    rotation_deg: float = Field(180.0, ge=0, le=180, description="Yaw between goal and current is within +- this.")
+    views: int = Field(8, ge=1, le=64, description="Current frames, on a ring; the first is the home view.")
+    resolution: Literal["640x480", "1280x720"] = Field("640x480", description="Image size.")
+    track: Literal["clean", "d435"] = Field("clean", description="Without noise, or as a RealSense D435 sees it.")
+    noise: tuple[Effect, ...] | None = Field(None, description="Only these of the track's effects; all when left out.")
+    table: Literal["plain", "wood", "cloth"] = Field("wood", description="What the table looks like.")
+    poses: Literal["upright", "stable"] = Field(
+        "upright", description="Natural resting pose; or another stable one in the goal than now (6-DoF motions)."
+    )
+    clearance_m: float = Field(0.01, ge=0, description="Least gap between objects.")
+    renderer: Literal["tiny", "egl"] = Field("tiny", description="TinyRenderer, or PyBullet's EGL plug-in.")
+    supersample: int = Field(2, ge=1, le=4, description="TinyRenderer: rendered pixels per pixel and axis.")
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The noise effects that are on."""
+        return _TRACKS[self.track] if self.noise is None else self.noise
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What stands where, before and after."""
+
+    assets: tuple[ObjectAsset, ...]
+    current: tuple[Float, ...]
+    goal: tuple[Float, ...]
+
+
+def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder: Path, cache: Path) -> None:
+    """Draw, render and write scene `number` as a capture folder.
+
+    The same settings and number give the same files, in any order and on any number of workers.
+
+    Raises:
+        ToolkitError: there are fewer objects than asked for, or the table does not hold them.
+    """
+    scene = _draw(config, objects, number)
+    truth = {
+        i: TrueObject(asset.model, scene.current[i], scene.goal[i], i) for i, asset in enumerate(scene.assets)
+    }
+    noise_rng = _generator(config, number, "noise")
+    home = home_camera(config)
+    lights = _lights(config, noise_rng)
+    supersample = config.supersample if config.renderer == "tiny" else 1
+    with World(config.renderer) as world:
+        world.add_visual(*table_files(config.table, cache), np.eye(4))
+        bodies = [world.add_asset(asset, np.eye(4)) for asset in scene.assets]
+
+        def shoot(index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
+            seen = _jitter(camera, noise_rng) if "pose" in config.effects else camera
+            rgb, z, ids = world.render(seen, light, supersample)
+            rgb[ids < 0] = _BACKGROUND
+            masks: dict[int, Mask] = {i: ids == body for i, body in enumerate(bodies)}
+            masks = {i: mask for i, mask in masks.items() if mask.any()}
+            rgb, z = _degrade(rgb, z, config.effects, noise_rng)
+            return Frame(index, rgb, camera, z if depth else None, masks)
+
+        for body, T in zip(bodies, scene.goal, strict=True):
+            world.move(body, T)
+        goal = shoot(0, home, lights[0], depth=False)
+        for body, T in zip(bodies, scene.current, strict=True):
+            world.move(body, T)
+        current = [shoot(i, c, lights[1], depth=True) for i, c in enumerate(ring_cameras(config))]
+    write_capture(folder, current, goal, truth)
+
+
+def home_camera(config: TabletopConfig) -> Camera:
+    """The fixed frontal view the goal image is taken from."""
+    return _camera(config, _HOME_AZIMUTH)
+
+
+def ring_cameras(config: TabletopConfig) -> list[Camera]:
+    """The predefined views around the table's centre, evenly spaced; the first is the home view."""
+    return [_camera(config, _HOME_AZIMUTH + 2 * np.pi * i / config.views) for i in range(config.views)]
+
+
+def _camera(config: TabletopConfig, azimuth: float) -> Camera:
+    fx, fy, cx, cy, width, height = _INTRINSICS[config.resolution]
+    out, up = np.cos(_ELEVATION), np.sin(_ELEVATION)
+    eye = _LOOK_AT + _CAMERA_DISTANCE_M * np.array([out * np.cos(azimuth), out * np.sin(azimuth), up])
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return Camera(K, look_at(eye, _LOOK_AT), width, height)
+
+
+def _generator(config: TabletopConfig, number: int, purpose: str) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence([config.seed, number, *purpose.encode()]))
+
+
+def _draw(config: TabletopConfig, objects: ObjectSet, number: int) -> _Scene:
+    rng = _generator(config, number, "layout")
+    most = config.max_objects
+    if config.min_objects > most:
+        raise ToolkitError(f"dataset: min_objects is {config.min_objects}, more than max_objects, {most}")
+    if most > len(objects.assets):
+        raise ToolkitError(f"dataset: max_objects is {most}, but '{objects.name}' has {len(objects.assets)} objects")
+    count = int(rng.integers(config.min_objects, most + 1))
+    chosen = sorted(rng.choice(len(objects.assets), count, replace=False).tolist())
+    assets = tuple(objects.assets[i] for i in chosen)
+    rests = [_rests(asset) for asset in assets]
+    now = [rest[0] for rest in rests]
+    then = [_other(rest, rng) for rest in rests] if config.poses == "stable" else now
+    yaws = rng.uniform(-np.pi, np.pi, count)
+    turns = np.radians(rng.uniform(-config.rotation_deg, config.rotation_deg, count))
+    goal = arrange(then, yaws.tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
+    current = arrange(now, (yaws + turns).tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
+    return _Scene(assets, _poses(current, now), _poses(goal, then))
+
+
+def _poses(placements: Sequence[Placement], rests: Sequence[RestingObject]) -> tuple[Float, ...]:
+    return tuple(placement.pose(rest) for placement, rest in zip(placements, rests, strict=True))
+
+
+@lru_cache(maxsize=512)
+def _rests(asset: ObjectAsset) -> list[RestingObject]:
+    return resting_poses(asset)
+
+
+def _other(rests: list[RestingObject], rng: np.random.Generator) -> RestingObject:
+    return rests[int(rng.integers(1, len(rests)))] if len(rests) > 1 else rests[0]
+
+
+def _lights(config: TabletopConfig, rng: np.random.Generator) -> tuple[Light, Light]:
+    """The light over the goal scene and over the current one: the same, unless the track changes it."""
+    if "light" not in config.effects:
+        return Light(), Light()
+
+    def draw() -> Light:
+        x, y = rng.uniform(-0.8, 0.8, 2)
+        ambient = rng.uniform(0.45, 0.65)
+        return Light((float(x), float(y), 1.0), float(ambient), float(rng.uniform(0.3, 1.0 - ambient)))
+
+    return draw(), draw()
+
+
+def _jitter(camera: Camera, rng: np.random.Generator) -> Camera:
+    """Where the camera really is, when its stated pose is off by a calibrated arm's error."""
+    turn = Rotation.from_rotvec(rng.normal(0, np.radians(_POSE_JITTER_DEG) / np.sqrt(3), 3)).as_matrix()
+    shift = rng.normal(0, _POSE_JITTER_M / np.sqrt(3), 3)
+    return Camera(camera.K, camera.T_world_camera @ make_transform(turn, shift), camera.width, camera.height)
+
+
+def _degrade(
+    rgb: np.ndarray, depth: Float, effects: tuple[Effect, ...], rng: np.random.Generator
+) -> tuple[np.ndarray, Float]:
+    if "depth" in effects:
+        depth = noise.axial_noise(depth, rng)
+    if "quantization" in effects:
+        depth = noise.quantize(depth)
+    if "dropout" in effects:
+        depth = noise.dropout(depth, rng)
+    if "color" in effects:
+        rgb = noise.color_noise(rgb, rng)
+    return rgb, depth
