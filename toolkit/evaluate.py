@@ -13,7 +13,7 @@ from toolkit.database import Database
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, project
-from toolkit.metrics import assign_goal_objects, pose_error
+from toolkit.metrics import assign_goal_objects, pose_error, symmetry_of
 from toolkit.pictures import correspondences, overlay
 from toolkit.results import Row
 from toolkit.types import Capture, Float, PoseEstimate, TrueObject
@@ -50,17 +50,11 @@ def score(
                 object=instance_id,
                 object_name=truth.model.name,
                 weights=dict(weights or {}),
-                **_truth_fields(truth),
+                symmetry=symmetry_of(truth.model),
                 **_answer_fields(estimate, truth),
             )
         )
     return rows
-
-
-def _truth_fields(truth: TrueObject) -> dict[str, Any]:
-    model = truth.model
-    symmetry = "continuous" if len(model.continuous_axes) else "discrete" if len(model.discrete_symmetries) else "none"
-    return {"symmetry": symmetry}
 
 
 def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str, Any]:

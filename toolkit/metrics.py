@@ -1,0 +1,115 @@
+"""Pose errors, plain and symmetry-aware, and which segment answers for which object (DESIGN 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from toolkit.geometry import invert, make_transform, rotation_angle, transform_points
+from toolkit.types import Float, Mask, ObjectModel, Segment, TrueObject
+
+MAX_ROTATION_DEG = 5.0
+MAX_TRANSLATION_CM = 2.0
+"""The paper's thresholds (Sec. Experiments, Task completion)."""
+
+_ROUND_OFF = 1e-9
+"""Errors below this many degrees or centimetres are rounding of a matrix product: truth must score exactly zero."""
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Errors of one estimate; `_sym`: at the symmetry of the model that brings the rotation error to its minimum."""
+
+    rotation_error_deg: float
+    translation_error_cm: float
+    rotation_error_deg_sym: float
+    translation_error_cm_sym: float
+
+    @property
+    def success(self) -> bool:
+        """Within 5 deg and 2 cm, symmetries not considered."""
+        return _within(self.rotation_error_deg, self.translation_error_cm)
+
+    @property
+    def success_sym(self) -> bool:
+        """Within 5 deg and 2 cm of a motion that looks the same."""
+        return _within(self.rotation_error_deg_sym, self.translation_error_cm_sym)
+
+
+def pose_error(T_goal_current: Float, truth: TrueObject) -> PoseError:
+    """Errors of a motion (4, 4) in world coordinates.
+
+    The translation error is the distance between the two places of the centre of the model's axis-aligned box.
+    """
+    plain = _errors(T_goal_current, truth, np.eye(4))
+    symmetric = [
+        _errors(T_goal_current, truth, S)
+        for discrete in [np.eye(4), *truth.model.discrete_symmetries]
+        for S in [discrete, *_best_continuous(T_goal_current, truth, discrete)]
+    ]
+    return PoseError(*plain, *min(symmetric))
+
+
+def _errors(T_goal_current: Float, truth: TrueObject, S: Float) -> tuple[float, float]:
+    """Rotation (deg) and translation (cm) error against the true goal pose turned by model symmetry S."""
+    T_true = truth.T_world_goal @ S @ invert(truth.T_world_current)
+    angle = np.degrees(rotation_angle(T_goal_current[:3, :3] @ T_true[:3, :3].T))
+    center = transform_points(truth.T_world_current, truth.model.center)
+    distance = 100 * np.linalg.norm(transform_points(T_goal_current, center) - transform_points(T_true, center))
+    return _clean(float(angle)), _clean(float(distance))
+
+
+def _best_continuous(T_goal_current: Float, truth: TrueObject, discrete: Float) -> list[Float]:
+    """For every continuous axis the model symmetry nearest to the estimate, composed with a discrete one.
+
+    The rotation about an axis a that comes nearest to R is the twist of R's swing-twist decomposition about a.
+    """
+    symmetries: list[Float] = []
+    for axis_point in truth.model.continuous_axes:
+        axis, point = axis_point[:3], axis_point[3:]
+        wanted = invert(discrete) @ invert(truth.T_world_goal) @ T_goal_current @ truth.T_world_current
+        x, y, z, w = Rotation.from_matrix(wanted[:3, :3]).as_quat()
+        twist = 2 * np.arctan2(np.dot([x, y, z], axis), w)
+        R = Rotation.from_rotvec(twist * axis).as_matrix()
+        symmetries.append(discrete @ make_transform(R, point - R @ point))
+    return symmetries
+
+
+def _clean(value: float) -> float:
+    return 0.0 if value < _ROUND_OFF else value
+
+
+def _within(rotation_deg: float, translation_cm: float) -> bool:
+    return rotation_deg <= MAX_ROTATION_DEG and translation_cm <= MAX_TRANSLATION_CM
+
+
+def symmetry_of(model: ObjectModel) -> str:
+    """`continuous`, `discrete` or `none`."""
+    if len(model.continuous_axes):
+        return "continuous"
+    return "discrete" if len(model.discrete_symmetries) else "none"
+
+
+def assign_goal_objects(
+    segments: Sequence[Segment], true_masks: Mapping[int, Mask], min_iou: float = 0.5
+) -> dict[int, int]:
+    """Which segment answers for which true object: the pairing of largest total IoU, pairs under `min_iou` left out.
+
+    Returns:
+        instance id -> position in `segments`.
+    """
+    ids = sorted(true_masks)
+    iou = np.array([[_iou(true_masks[i], segment.mask) for segment in segments] for i in ids]).reshape(len(ids), -1)
+    if iou.size == 0:
+        return {}
+    rows, columns = linear_sum_assignment(-np.where(iou >= min_iou, iou, 0))
+    return {ids[r]: int(c) for r, c in zip(rows, columns, strict=True) if iou[r, c] >= min_iou}
+
+
+def _iou(a: Mask, b: Mask) -> float:
+    union = int((a | b).sum())
+    return int((a & b).sum()) / union if union else 0.0
