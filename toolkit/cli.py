@@ -38,7 +38,7 @@ def with_experiment_options(command: Callable[..., None]) -> Callable[..., None]
     The command receives them together, as `choices`.
     """
     own = [p for name, p in inspect.signature(command).parameters.items() if name != "choices"]
-    options = {slot: list[str] for slot in SLOTS} | {"set": list[str], "plugin": list[Path]}
+    options = dict.fromkeys(SLOTS, list[str]) | {"set": list[str], "plugin": list[Path]}
     helps = {slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps." for slot in SLOTS} | {
         "set": "path.to.key=v1,v2; several values sweep.",
         "plugin": "A plugin file that is not installed.",
@@ -260,7 +260,7 @@ def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captu
     """Say how a benchmark was made and what it holds, and draw its first scenes."""
     from rich.console import Console
 
-    from toolkit.data.inspect import describe, contact_sheet
+    from toolkit.data.inspect import contact_sheet, describe
 
     console = Console()
     for line in describe(dataset):
@@ -273,7 +273,9 @@ def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:
 
     cells = expand(read_experiment(experiment, choices))
     if len(cells) > 1:
-        raise ToolkitError(f"this command runs one setting, but {len(cells)} are asked for; use `toolkit ablate` to sweep")
+        raise ToolkitError(
+            f"this command runs one setting, but {len(cells)} are asked for; use `toolkit ablate` to sweep"
+        )
     return cells[0]
 
 

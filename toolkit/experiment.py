@@ -14,10 +14,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from toolkit.errors import ToolkitError
-from toolkit.pipeline import Pipeline, PipelineSettings, Stages
-from toolkit.registry import Plugin, Registry, load_plugin_file, suggest, validated
+from toolkit.pipeline import PipelineSettings
+from toolkit.registry import Registry, load_plugin_file, suggest, validated
 from toolkit.slots import SLOTS
 from toolkit.stages import REGISTRIES, register_module
+
 
 class StageChoice(BaseModel):
     """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
@@ -187,27 +188,13 @@ def expand(experiment: Experiment) -> list[Cell]:
     return cells
 
 
-def build_stages(pipeline: PipelineChoice) -> Stages:
-    """Make the stage implementations of a pipeline.
-
-    Raises:
-        ToolkitError: as `Registry.create`.
-    """
-    return Stages(**{slot: create_stage(pipeline, slot) for slot in SLOTS})
-
-
-def build_pipeline(cell: Cell) -> Pipeline:
-    """Make a cell's pipeline, without a cache."""
-    return Pipeline(build_stages(cell.pipeline), own_settings(cell.pipeline), cell.seed)
-
-
 def own_settings(pipeline: PipelineChoice) -> PipelineSettings:
     """The pipeline's own settings, without the stage choices."""
     return PipelineSettings(**{name: getattr(pipeline, name) for name in PipelineSettings.model_fields})
 
 
-def create_stage(pipeline: PipelineChoice, slot: str) -> Plugin:
-    """Make the implementation that fills one slot."""
+def create_stage(pipeline: PipelineChoice, slot: str) -> Any:
+    """Make the implementation that fills one slot: a `Plugin` that follows the slot's Protocol."""
     choice: StageChoice = getattr(pipeline, slot)
     registry: Registry[Any] = REGISTRIES[SLOTS[slot]]
     return registry.create(choice.name, choice.settings)

@@ -82,7 +82,7 @@ class Pipeline:
     """
 
     stages: Stages
-    settings: PipelineSettings = field(default_factory=PipelineSettings)
+    settings: PipelineSettings = PipelineSettings()
     seed: int = 0
     meter: Meter = field(default_factory=Meter)
 
@@ -115,7 +115,8 @@ class Pipeline:
         frame_of = {frame.index: frame for frame in frames}
         with self.meter.stage("descriptor"):
             size = self.stages.descriptor.crop_size
-            crops = [self._crop(frame_of[r.frame_index], r.segment, size) for r in regions]
+            margin = self.settings.crop_margin
+            crops = [crop_region(frame_of[r.frame_index].rgb, r.segment, size, margin) for r in regions]
             descriptors = self.stages.descriptor.describe(crops)
         return Database(tuple(frames), tuple(regions), instances, descriptors, dropped)
 
@@ -132,13 +133,14 @@ class Pipeline:
         if len(database):
             with self.meter.stage("descriptor"):
                 size = self.stages.descriptor.crop_size
-                queries = self.stages.descriptor.describe([self._crop(goal, s, size) for s in segments])
+                margin = self.settings.crop_margin
+                queries = self.stages.descriptor.describe([crop_region(goal.rgb, s, size, margin) for s in segments])
             with self.meter.stage("index"):
                 self.stages.index.build(database.descriptors)
                 rankings = list(self.stages.index.search(queries, len(database))[1])
         shared_ms, shared_cached = self.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
-        references = _References(self, database)
+        references = _References(database, self.stages.matcher, self.settings.crop_margin)
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
             if rankings:
@@ -174,7 +176,7 @@ class Pipeline:
         database, search = references.database, _Search()
         with self.meter.stage("retriever"):
             traversal = self.stages.retriever.start(ranking, database.instances, database.observations)
-        query_crop = self._crop(goal, segment, self.stages.matcher.crop_size)
+        query_crop = crop_region(goal.rgb, segment, self.stages.matcher.crop_size, self.settings.crop_margin)
         with self.meter.stage("matcher"):
             query = self.stages.matcher.extract([query_crop])[0]
         batch = 1 if self.settings.fuse == "first" else len(database)
@@ -232,28 +234,25 @@ class Pipeline:
             raise ToolkitError(f"pipeline.views is {views}, but the capture has {len(frames)} current frames")
         return [frames[len(frames) * i // views] for i in range(views)]
 
-    def _crop(self, frame: Frame, segment: Segment, size: int) -> Crop:
-        return crop_region(frame.rgb, segment, size, self.settings.crop_margin)
-
 
 class _References:
     """Candidate crops and features of one database, made when first asked for and used for every goal object."""
 
-    def __init__(self, pipeline: Pipeline, database: Database) -> None:
+    def __init__(self, database: Database, matcher: Matcher, crop_margin: float) -> None:
         self.database = database
         self.crops: dict[int, Crop] = {}
         self._features: dict[int, object] = {}
-        self._pipeline = pipeline
+        self._matcher = matcher
+        self._crop_margin = crop_margin
 
     def features(self, rows: Sequence[int]) -> list[object]:
         """The matcher's features of regions `rows`, extracting the missing ones in one batch."""
         missing = [row for row in rows if row not in self._features]
         if missing:
-            matcher = self._pipeline.stages.matcher
             for row in missing:
-                frame, region = self.database.frame_of(row), self.database.regions[row]
-                self.crops[row] = self._pipeline._crop(frame, region.segment, matcher.crop_size)  # pyright: ignore[reportPrivateUsage]
-            extracted = matcher.extract([self.crops[row] for row in missing])
+                rgb, segment = self.database.frame_of(row).rgb, self.database.regions[row].segment
+                self.crops[row] = crop_region(rgb, segment, self._matcher.crop_size, self._crop_margin)
+            extracted = self._matcher.extract([self.crops[row] for row in missing])
             self._features.update(zip(missing, extracted, strict=True))
         return [self._features[row] for row in rows]
 

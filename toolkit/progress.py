@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -19,7 +19,7 @@ class Progress:
         self._console = console
 
     @contextmanager
-    def step(self, title: str, total: int) -> Iterator[Advance]:
+    def step(self, title: str, total: int) -> Generator[Advance]:
         """A bar that advances by the number handed to the yielded function."""
         if self._console is None:
             yield lambda _: None

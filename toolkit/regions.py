@@ -28,6 +28,6 @@ def lift_segment(frame: Frame, segment: Segment) -> Region | Failure:
         return Failure("segmenter", f"frame {frame.index}: only {len(rows)} of a region's pixels have depth")
     pixels = np.stack([columns, rows], axis=1).astype(np.int32)
     camera = frame.camera
-    points = lift(camera.K, camera.T_world_camera, pixels, frame.depth[rows, columns])
+    points = lift(camera.K, camera.T_world_camera, pixels.astype(np.float64), frame.depth[rows, columns])
     observation = observation_vector(camera.T_world_camera, points)
     return Region(frame.index, segment, points.astype(np.float32), pixels, observation)

@@ -7,7 +7,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -89,7 +89,7 @@ def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping
 
 
 @contextmanager
-def writable(what: str) -> Iterator[None]:
+def writable(what: str) -> Generator[None]:
     """Turn a full disk or a folder without permission into one clear sentence.
 
     Raises:

@@ -24,9 +24,7 @@ OnScene = Callable[[int, int], None]
 _LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "scipy", "trimesh")
 
 
-def cached_dataset(
-    config: TabletopConfig, cache: Path, workers: int = 1, on_scene: OnScene | None = None
-) -> Path:
+def cached_dataset(config: TabletopConfig, cache: Path, workers: int = 1, on_scene: OnScene | None = None) -> Path:
     """The benchmark in the cache, its missing scenes built; scenes are shared whatever number is asked for.
 
     Raises:

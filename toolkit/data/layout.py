@@ -184,5 +184,3 @@ def _gap(center_a: Float, support_a: Float, center_b: Float, support_b: Float) -
     """Lower bound of the distance of two footprints: the widest gap along any of the directions."""
     along = _directions() @ (center_b - center_a)
     return float((along - support_a - np.roll(support_b, _FOOTPRINT_DIRECTIONS // 2)).max())
-
-

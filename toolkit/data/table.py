@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from toolkit.files import write_bytes
 from toolkit.types import Image
 
 HALF_SIDE_M = 0.62
@@ -21,15 +21,9 @@ def table_files(look: str, cache: Path) -> tuple[Path, Path]:
     mesh, texture = folder / "table.obj", folder / f"{look}.png"
     if not (mesh.exists() and texture.exists()):
         folder.mkdir(parents=True, exist_ok=True)
-        _replace(mesh, _mesh().encode())
-        _replace(texture, cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
+        write_bytes(mesh, _mesh().encode())
+        write_bytes(texture, cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
     return mesh, texture
-
-
-def _replace(path: Path, data: bytes) -> None:
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_bytes(data)
-    temporary.replace(path)
 
 
 def _mesh(cells: int = 8) -> str:

@@ -89,9 +89,7 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
         ToolkitError: there are fewer objects than asked for, or the table does not hold them.
     """
     scene = _draw(config, objects, number)
-    truth = {
-        i: TrueObject(asset.model, scene.current[i], scene.goal[i], i) for i, asset in enumerate(scene.assets)
-    }
+    truth = {i: TrueObject(asset.model, scene.current[i], scene.goal[i], i) for i, asset in enumerate(scene.assets)}
     noise_rng = _generator(config, number, "noise")
     home = home_camera(config)
     lights = _lights(config, noise_rng)

@@ -20,7 +20,9 @@ class SiftConfig(PluginConfig):
     ratio: float = Field(0.85, gt=0, le=1, description="Nearest over second-nearest distance, at most.")
     max_features: int = Field(1000, ge=8, description="Keypoints kept a crop, strongest first.")
     contrast: float = Field(0.01, ge=0, description="SIFT's contrast threshold; low, since objects are small.")
-    border_px: int = Field(5, ge=0, description="Keypoints nearer to the silhouette are dropped: it moves with the view.")
+    border_px: int = Field(
+        5, ge=0, description="Keypoints nearer to the silhouette are dropped: it moves with the view."
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,6 @@ class BruteForce(Plugin):
     stage = "retriever"
     name = "brute_force"
 
-    def start(
-        self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float
-    ) -> PrunedTraversal:
+    def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> PrunedTraversal:
         """Return the traversal of the whole database."""
         return PrunedTraversal(sorted(ranking.tolist()), lambda _a, _b: False, observations, geodesic_distance, 0.0)

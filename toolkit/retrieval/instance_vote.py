@@ -23,7 +23,9 @@ class InstanceVoteConfig(PluginConfig):
     max_instances: int = Field(1, ge=1, description="Most-voted instances whose regions become candidates; paper: 1.")
     max_candidates: int = Field(64, ge=1, description="Candidates tried at most.")
     distance: Literal["geodesic", "paper"] = Field("geodesic", description="Angle between observation vectors.")
-    prune_deg: float = Field(20.0, ge=0, le=180, description="Candidates closer to a rejected one are deleted; 0: none.")
+    prune_deg: float = Field(
+        20.0, ge=0, le=180, description="Candidates closer to a rejected one are deleted; 0: none."
+    )
 
 
 class InstanceVote(Plugin):
@@ -38,9 +40,7 @@ class InstanceVote(Plugin):
     Config = InstanceVoteConfig
     config: InstanceVoteConfig
 
-    def start(
-        self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float
-    ) -> PrunedTraversal:
+    def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> PrunedTraversal:
         """Vote and return the traversal of the winners' regions."""
         voters = instances[ranking[: self.config.top_k]].tolist()
         # Counter keeps the order of first occurrence among equals, which is the order of rank.

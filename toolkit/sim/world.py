@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -69,7 +69,9 @@ class World:
     def __enter__(self) -> World:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -85,9 +87,7 @@ class World:
         body = pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
         if texture not in self._textures:
             self._textures[texture] = pybullet.loadTexture(str(texture), physicsClientId=self.client)
-        pybullet.changeVisualShape(
-            body, -1, textureUniqueId=self._textures[texture], physicsClientId=self.client
-        )
+        pybullet.changeVisualShape(body, -1, textureUniqueId=self._textures[texture], physicsClientId=self.client)
         self.move(body, T_world_object)
         return int(body)
 
@@ -106,9 +106,7 @@ class World:
         """Take a body out of the world."""
         pybullet.removeBody(body, physicsClientId=self.client)
 
-    def render(
-        self, camera: Camera, light: Light, supersample: int = 1
-    ) -> tuple[Image, Float, NDArray[np.int32]]:
+    def render(self, camera: Camera, light: Light, supersample: int = 1) -> tuple[Image, Float, NDArray[np.int32]]:
         """Render what a camera sees.
 
         Args:
@@ -202,7 +200,7 @@ def _load_egl(client: int) -> bool:
 
 
 @contextlib.contextmanager
-def _silence() -> Iterator[None]:
+def _silence() -> Generator[None]:
     """Keep PyBullet's C code from printing: it writes to the process's descriptors, not to sys.stdout."""
     kept = [os.dup(descriptor) for descriptor in (1, 2)]
     null = os.open(os.devnull, os.O_WRONLY)
