@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
@@ -123,7 +124,7 @@ def _execute(tasks: Sequence[SceneTask], options: RunOptions) -> Iterator[tuple[
         return
     threads = {"inner_max_num_threads": 1} if options.backend == "loky" else {}
     with joblib.parallel_config(backend=options.backend, n_jobs=options.workers, **threads):
-        parallel = joblib.Parallel(return_as="generator_unordered")
+        parallel: Any = joblib.Parallel(return_as="generator_unordered")
         yield from parallel(joblib.delayed(run_scene_in_process)(task) for task in tasks)
 
 

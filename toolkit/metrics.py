@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -87,8 +88,8 @@ def _within(rotation_deg: float, translation_cm: float) -> bool:
     return rotation_deg <= MAX_ROTATION_DEG and translation_cm <= MAX_TRANSLATION_CM
 
 
-def symmetry_of(model: ObjectModel) -> str:
-    """`continuous`, `discrete` or `none`."""
+def symmetry_of(model: ObjectModel) -> Literal["none", "discrete", "continuous"]:
+    """The strongest kind of symmetry a model has."""
     if len(model.continuous_axes):
         return "continuous"
     return "discrete" if len(model.discrete_symmetries) else "none"

@@ -33,12 +33,18 @@ from toolkit.types import (
 class PipelineSettings(PluginConfig):
     """What the pipeline itself decides, besides its stages."""
 
-    views: int | Literal["all"] = Field("all", description="Current frames used, evenly spaced from the first; or all.")
-    fuse: Literal["all", "first"] = Field(
-        "all", description="Solve from all accepted candidates of the instance, or from the first accepted (the paper)."
+    views: int | Literal["all"] = Field(
+        default="all", description="Current frames used, evenly spaced from the first; or all."
     )
-    min_matches: int = Field(6, ge=3, description="Lifted matches a candidate needs to be accepted.")
-    crop_margin: float = Field(0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
+    fuse: Literal["all", "first"] = Field(
+        default="all",
+        description="Solve from all accepted candidates of the instance, or from the first accepted (the paper).",
+    )
+    min_matches: int = Field(default=6, ge=3, description="Lifted matches a candidate needs to be accepted.")
+    crop_margin: float = Field(default=0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
+
+
+_DEFAULTS = PipelineSettings()
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class Pipeline:
     """
 
     stages: Stages
-    settings: PipelineSettings = PipelineSettings()
+    settings: PipelineSettings = _DEFAULTS
     seed: int = 0
     meter: Meter = field(default_factory=Meter)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,9 @@ def _cluster(centers: Float, frame_of: NDArray[np.int64], k: int) -> NDArray[np.
     while len(seeds) < k:
         gaps = np.min([np.linalg.norm(centers - seed, axis=1) for seed in seeds], axis=0)
         seeds.append(centers[int(gaps.argmax())])
-    return np.asarray(KMeans(k, init=np.array(seeds), n_init=1, random_state=0).fit(centers).labels_, np.int64)
+    # scikit-learn's stubs know `init` and `n_init` as strings only.
+    kmeans: Any = KMeans(k, init=np.array(seeds), n_init=1, random_state=0)  # pyright: ignore[reportArgumentType]
+    return np.asarray(kmeans.fit(centers).labels_, np.int64)
 
 
 def _conflicts(labels: NDArray[np.int64], frame_of: NDArray[np.int64]) -> int:

@@ -188,11 +188,11 @@ def _load_poses(path: Path) -> dict[int, tuple[int, Float]]:
     poses: dict[int, tuple[int, Float]] = {}
     for instance, entry in zip(_instance_ids(scene[key]), scene[key], strict=True):
         if "T_world_model" in entry:
-            T = np.array(entry["T_world_model"], np.float64)
+            T_world_model = np.array(entry["T_world_model"], np.float64)
         else:
             R = np.array(entry["cam_R_m2c"], np.float64).reshape(3, 3)
-            T = T_world_camera @ _rigid(make_transform(R, np.array(entry["cam_t_m2c"]) / 1e3), f"'{path}'")
-        poses[instance] = (int(entry["obj_id"]), T)
+            T_world_model = T_world_camera @ _rigid(make_transform(R, np.array(entry["cam_t_m2c"]) / 1e3), f"'{path}'")
+        poses[instance] = (int(entry["obj_id"]), T_world_model)
     return poses
 
 

@@ -107,11 +107,9 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
             rgb, z = _degrade(rgb, z, config.effects, noise_rng)
             return Frame(index, rgb, camera, z if depth else None, masks)
 
-        for body, T in zip(bodies, scene.goal, strict=True):
-            world.move(body, T)
+        world.move_all(bodies, scene.goal)
         goal = shoot(0, home, lights[0], depth=False)
-        for body, T in zip(bodies, scene.current, strict=True):
-            world.move(body, T)
+        world.move_all(bodies, scene.current)
         current = [shoot(i, c, lights[1], depth=True) for i, c in enumerate(ring_cameras(config))]
     write_capture(folder, current, goal, truth)
 

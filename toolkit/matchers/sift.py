@@ -65,7 +65,7 @@ def root_sift(sift: cv2.SIFT, crop: Crop, border_px: int) -> SiftFeatures:
         kernel = np.ones((2 * border_px + 1, 2 * border_px + 1), np.uint8)
         mask = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     keypoints, descriptors = sift.detectAndCompute(gray, mask)
-    if descriptors is None or not len(keypoints):
+    if not len(keypoints):
         return SiftFeatures(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     rooted = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
     return SiftFeatures(np.array([k.pt for k in keypoints], np.float64), rooted.astype(np.float32))

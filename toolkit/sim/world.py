@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -102,9 +102,10 @@ class World:
             body, T_world_object[:3, 3].tolist(), quaternion.tolist(), physicsClientId=self.client
         )
 
-    def remove(self, body: int) -> None:
-        """Take a body out of the world."""
-        pybullet.removeBody(body, physicsClientId=self.client)
+    def move_all(self, bodies: Sequence[int], poses: Sequence[Float]) -> None:
+        """Put every body at its (4, 4) pose."""
+        for body, T_world_object in zip(bodies, poses, strict=True):
+            self.move(body, T_world_object)
 
     def render(self, camera: Camera, light: Light, supersample: int = 1) -> tuple[Image, Float, NDArray[np.int32]]:
         """Render what a camera sees.
