@@ -47,7 +47,8 @@ def hog(image: Image, cells: int, orientations: int) -> Float:
     rows, columns = np.indices(gray.shape)
     np.add.at(layers, (low % orientations, rows, columns), strength * (1 - part))
     np.add.at(layers, ((low + 1) % orientations, rows, columns), strength * part)
-    grid = np.stack([cv2.resize(layer, (cells, cells), interpolation=cv2.INTER_AREA) for layer in layers], axis=-1)
+    stacked = np.ascontiguousarray(layers.transpose(1, 2, 0))
+    grid = np.asarray(cv2.resize(stacked, (cells, cells), interpolation=cv2.INTER_AREA))
     blocks = np.concatenate([grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]], axis=-1)
     # The floor keeps a crop without any gradient a direction of its own.
     blocks = blocks + 1e-3

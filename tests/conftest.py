@@ -1,0 +1,50 @@
+"""Shared fixtures. Everything lives in temporary folders: tests never touch a user's cache."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.data.bop import load_capture
+from toolkit.data.dataset import build_dataset
+from toolkit.data.tabletop import TabletopConfig
+from toolkit.geometry import look_at
+from toolkit.types import Camera, Capture
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cache for the whole session, so that object sets and scenes are made once."""
+    root = tmp_path_factory.getbasetemp().parent / "toolkit-cache"
+    os.environ["TOOLKIT_CACHE"] = str(root)
+    return root
+
+
+@pytest.fixture(scope="session")
+def dataset(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes of three procedural objects, four views."""
+    config = TabletopConfig(scenes=2, min_objects=3, max_objects=3, views=4, seed=3)
+    return build_dataset(config, tmp_path_factory.mktemp("data") / "tabletop", cache)
+
+
+@pytest.fixture(scope="session")
+def capture(dataset: Path) -> Capture:
+    """The first scene."""
+    return load_capture(dataset / "000000")
+
+
+@pytest.fixture
+def capture_copy(dataset: Path, tmp_path: Path) -> Path:
+    """A capture folder to damage."""
+    return shutil.copytree(dataset / "000000", tmp_path / "capture")
+
+
+@pytest.fixture
+def camera() -> Camera:
+    """A 640x480 camera that looks down at the origin from the front."""
+    K = np.array([[600.0, 0, 319.5], [0, 610.0, 239.5], [0, 0, 1]])
+    return Camera(K, look_at(np.array([0.1, -0.7, 0.6]), np.zeros(3)), 640, 480)
