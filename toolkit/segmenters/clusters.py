@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.segmenters.labels import keep, nearest_label
 from toolkit.segmenters.plane import Plane, on_plane, pixel_rays, plan_axes
 from toolkit.segmenters.refine import snap_to_colour
 from toolkit.types import Float, Frame, Mask
@@ -20,7 +21,7 @@ _TOUCH_M = 0.04
 
 
 def cluster_above_plane(
-    frame: Frame, plane: Plane, min_height: float, cell: float, min_pixels: int
+    frame: Frame, plane: Plane, min_height: float = 0.0015, cell: float = 0.005, min_pixels: int = 60
 ) -> NDArray[np.int32]:
     """Label the objects on the table.
 
@@ -50,10 +51,10 @@ def cluster_above_plane(
     seeds = np.zeros(depth.shape, np.int32)
     seeds[core] = _plan_labels(plan, cell)
     real = _supported(frame, plane, seeds, core, plan, heights) & np.isin(np.arange(seeds.max() + 1), seeds[high])
-    labels = _grow(_keep(seeds, real, min_pixels), low)
+    labels = _grow(keep(seeds, real, min_pixels), low)
     if noisy:
         labels = snap_to_colour(frame.rgb, labels)
-    return _keep(labels, np.ones(int(labels.max(initial=0)) + 1, bool), min_pixels)
+    return keep(labels, np.ones(int(labels.max(initial=0)) + 1, bool), min_pixels)
 
 
 def _smooth_heights(plane: Plane, rays: Float, depth: Float) -> tuple[Float, float]:
@@ -123,26 +124,3 @@ def _grow(seeds: NDArray[np.int32], mask: Mask) -> NDArray[np.int32]:
     real[0] = False
     nearest = nearest_label(seeds)
     return np.where(real[parts], nearest, 0)
-
-
-def nearest_label(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(H, W) int32: for every pixel the label of the nearest labelled pixel; all 0 where there is none."""
-    if not labels.any():
-        return labels
-    _, owners = cv2.distanceTransformWithLabels(
-        (labels == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros(int(owners.max()) + 1, np.int32)
-    known = labels > 0
-    table[owners[known]] = labels[known]
-    return table[owners]
-
-
-def _keep(labels: NDArray[np.int32], wanted: NDArray[np.bool_], min_pixels: int) -> NDArray[np.int32]:
-    """Drop labels that are not wanted or small, and number the rest by their first pixel in row-major order."""
-    values, first, sizes = np.unique(labels, return_index=True, return_counts=True)
-    good = (values > 0) & wanted[values] & (sizes >= min_pixels)
-    ranked = values[good][np.argsort(first[good])]
-    table = np.zeros(int(values.max(initial=0)) + 1, np.int32)
-    table[ranked] = np.arange(1, len(ranked) + 1)
-    return table[labels]

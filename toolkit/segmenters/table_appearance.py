@@ -1,0 +1,57 @@
+"""Objects in a colour image as what differs from the empty table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.segmenters.blobs import find_blobs
+from toolkit.segmenters.difference import difference
+from toolkit.segmenters.split import split_touching
+from toolkit.segmenters.table_map import TableScan, render_table, scan_table
+from toolkit.types import Frame, Segment
+
+
+class TableAppearanceConfig(PluginConfig):
+    """Settings of the `table_appearance` segmenter."""
+
+    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
+    min_pixels: int = Field(60, ge=1, description="Smaller blobs are dropped.")
+    split: bool = Field(True, description="Split touching objects while there are fewer than the current frames show.")
+
+
+class TableAppearanceSegmenter(Plugin):
+    """What differs from the table's look, learnt from the current frames, where depth says what is table (RGB only).
+
+    The empty table is drawn in the image's camera, compared after a photometric fit, and the borders of what differs
+    are refined by GrabCut. Touching objects are split at necks while there are fewer than the current frames show.
+    Segments come in row-major order of their first pixel.
+    """
+
+    stage = "segmenter"
+    name = "table_appearance"
+    Config = TableAppearanceConfig
+    config: TableAppearanceConfig
+
+    def __init__(self, config: PluginConfig | None = None) -> None:
+        super().__init__(config)
+        self._last: tuple[tuple[Frame, ...], TableScan] | None = None
+
+    def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
+        """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""
+        scan = self._scan(tuple(current))
+        view = render_table(scan, frame.camera)
+        labels = find_blobs(
+            frame.rgb, difference(frame.rgb, view), view, self.config.threshold, self.config.min_pixels
+        )
+        if self.config.split:
+            labels = split_touching(labels, scan.objects, self.config.min_pixels)
+        return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
+
+    def _scan(self, current: tuple[Frame, ...]) -> TableScan:
+        """The table of these very frames, kept for the next image of the same scene."""
+        if self._last is None or self._last[0] != current:
+            self._last = (current, scan_table(current))
+        return self._last[1]
