@@ -86,7 +86,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, progress: Progre
 
 
 def _dataset_key(cell: Cell) -> str:
-    return digest([cell.dataset, cell.seed])
+    return digest(cell.dataset)
 
 
 def _build_datasets(cells: Sequence[Cell], options: RunOptions, progress: Progress) -> dict[str, Dataset]:
@@ -95,7 +95,7 @@ def _build_datasets(cells: Sequence[Cell], options: RunOptions, progress: Progre
     for cell in cells:
         key = _dataset_key(cell)
         if key not in datasets:
-            datasets[key] = open_dataset(cell.dataset, cell.seed, cache_root(), options.workers, progress)
+            datasets[key] = open_dataset(cell.dataset, cache_root(), options.workers, progress)
     return datasets
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError
 from toolkit.pipeline import PipelineSettings
 from toolkit.registry import Registry, load_plugin_file, suggest, validated
@@ -83,7 +84,7 @@ class Cell:
         name: what sets it apart, e.g. `matcher=sift,views=1`; the experiment's name when nothing is swept.
         settings: the swept values by path.
         seed: the experiment's seed.
-        dataset: the `dataset:` part, with the sweep applied.
+        dataset: the `dataset:` part, with the sweep applied and every default written out.
         pipeline: the `pipeline:` part, checked.
     """
 
@@ -172,13 +173,9 @@ def expand(experiment: Experiment) -> list[Cell]:
             parts += [f"{_short(path)}={_label(value)}" for path, value in swept.items()]
             name = ",".join(parts) or experiment.name
             pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
-            cell = Cell(
-                name,
-                {**({"cell": base.name} if base.name else {}), **swept},
-                experiment.seed,
-                data["dataset"],
-                pipeline,
-            )
+            settings = {"cell": base.name, **swept} if base.name else swept
+            dataset = resolve_settings(data["dataset"], experiment.seed)
+            cell = Cell(name, settings, experiment.seed, dataset, pipeline)
             cell.resolved()
             cells.append(cell)
     names = [cell.name for cell in cells]

@@ -29,23 +29,31 @@ class Dataset:
     made: dict[str, Any]
 
 
-def tabletop_config(settings: Mapping[str, Any], seed: int) -> TabletopConfig:
-    """Check the `dataset:` part of an experiment that asks for the tabletop benchmark.
-
-    Raises:
-        ToolkitError: an unknown key or a value that does not fit.
-    """
-    return validated(TabletopConfig, {"seed": seed, **settings}, "dataset")
-
-
-def open_dataset(
-    settings: Mapping[str, Any], seed: int, cache: Path, workers: int = 1, progress: Progress | None = None
-) -> Dataset:
-    """Find or build the captures an experiment's `dataset:` part names.
+def resolve_settings(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Check the `dataset:` part of an experiment and write out every default.
 
     Args:
         settings: `{path: FOLDER}`, optionally with `scenes`; or the tabletop benchmark's settings.
         seed: the benchmark's seed, unless the settings name one.
+
+    Raises:
+        ToolkitError: an unknown key or a value that does not fit.
+    """
+    if "path" in settings:
+        unknown = sorted(set(settings) - {"path", "scenes"})
+        if unknown:
+            raise ToolkitError(f"dataset: '{unknown[0]}' cannot be set for captures that exist already (path is given)")
+        return dict(settings)
+    return validated(TabletopConfig, {"seed": seed, **settings}, "dataset").model_dump(mode="json")
+
+
+def open_dataset(
+    settings: Mapping[str, Any], cache: Path, workers: int = 1, progress: Progress | None = None
+) -> Dataset:
+    """Find or build captures.
+
+    Args:
+        settings: what `resolve_settings` returned.
         cache: where object sets and built scenes are kept.
         workers: processes that build.
         progress: shows a bar.
@@ -55,7 +63,7 @@ def open_dataset(
     """
     if "path" in settings:
         return _existing(settings)
-    config = tabletop_config(settings, seed)
+    config = TabletopConfig.model_validate(settings)
     with (progress or Progress()).step("Building scenes", config.scenes) as advance:
         folder = cached_dataset(config, cache, workers, _each(advance))
     made = json.loads((folder / "dataset.json").read_text())
@@ -63,9 +71,6 @@ def open_dataset(
 
 
 def _existing(settings: Mapping[str, Any]) -> Dataset:
-    unknown = sorted(set(settings) - {"path", "scenes"})
-    if unknown:
-        raise ToolkitError(f"dataset: '{unknown[0]}' cannot be set for captures that exist already (path is given)")
     folder = Path(settings["path"])
     captures = read_dataset(folder)
     scenes = settings.get("scenes", len(captures))

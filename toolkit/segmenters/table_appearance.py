@@ -43,9 +43,7 @@ class TableAppearanceSegmenter(Plugin):
         """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""
         scan = self._scan(tuple(current))
         view = render_table(scan, frame.camera)
-        labels = find_blobs(
-            frame.rgb, difference(frame.rgb, view), view, self.config.threshold, self.config.min_pixels
-        )
+        labels = find_blobs(frame.rgb, difference(frame.rgb, view), view, self.config.threshold, self.config.min_pixels)
         if self.config.split:
             labels = split_touching(labels, scan.objects, self.config.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
