@@ -40,9 +40,8 @@ def test_shipped_experiments_are_valid(name):
 
 def test_an_option_given_twice_sweeps_and_once_replaces(write):
     path = write(BASE)
-    cells = expand(
-        load_experiment(path, {"pipeline.pnp": ["poselib", "opencv_epnp"], "pipeline.descriptor": ["color_hist"]})
-    )
+    overrides = {"pipeline.pnp": ["poselib", "opencv_epnp"], "pipeline.descriptor": ["color_hist"]}
+    cells = expand(load_experiment(path, overrides))
     assert [cell.name for cell in cells] == ["pnp=poselib", "pnp=opencv_epnp"]
     assert {cell.pipeline.descriptor.name for cell in cells} == {"color_hist"}
 

@@ -156,6 +156,25 @@ def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate
     return correspondences(capture.goal.rgb, problem.pixels, images, frame_of, xy, inliers)
 
 
+def write_case(folder: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
+    """Write one object of a scored capture as FOLDER/<scene>_<object>.png, with its caption as .txt beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks or {})
+    estimate = estimates[answers[row.object]] if row.object in answers else None
+    picture = overlay_picture(capture, database, [e for e in estimates if e is estimate])
+    matches = None if estimate is None else matches_picture(capture, database, estimate)
+    if matches is not None:
+        beside = np.zeros((picture.shape[0], matches.shape[1] - picture.shape[1], 3), np.uint8)
+        picture = np.vstack([np.hstack([picture, beside]), matches])
+    name = f"{row.scene_id:06d}_{row.object:06d}"
+    _write_png(folder / f"{name}.png", picture)
+    if row.rotation_error_deg_sym is None:
+        outcome = f"{row.status}, {row.stage}: {row.reason}"
+    else:
+        outcome = f"{row.rotation_error_deg_sym:.1f} deg, {row.translation_error_cm_sym:.1f} cm off"
+    (folder / f"{name}.txt").write_text(f"Scene {row.scene_id}, {row.object_name}: {outcome} ({row.cell})")
+
+
 def _write_png(path: Path, image: np.ndarray) -> None:
     encoded = image if image.ndim == 2 else image[..., ::-1]
     ok, data = cv2.imencode(".png", encoded)

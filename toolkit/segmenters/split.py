@@ -1,59 +1,133 @@
-"""Touching objects, parted at their necks."""
+"""Touching objects, parted where two known objects explain a blob better than one."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from toolkit.segmenters.labels import keep, nearest_label
-from toolkit.types import Mask
+from toolkit.segmenters.looks import colour_bins
+from toolkit.segmenters.refine import window
+from toolkit.types import Float, Image, Mask
 
-_NECK = 0.65
+_NECK = 0.9
 """A neck is where the blob is narrower than this part of the narrower side's own width."""
 
+_LEAST_GAIN = 0.25
+"""Gain in log-likelihood a pixel of the smaller part, below which one object explains the blob as well."""
 
-def split_touching(labels: NDArray[np.int32], wanted: int, min_pixels: int) -> NDArray[np.int32]:
-    """Split blobs, the clearest neck first, until there are `wanted` or no clear neck is left.
+_BLUR_PX = 9
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """A blob in two: log-likelihoods (2, K) of the parts under every object, and the pixels (N,) of the second."""
+
+    scores: Float
+    part: NDArray[np.int64]
+    smaller: int
+
+
+def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixels: int) -> NDArray[np.int32]:
+    """Split blobs while there are fewer than known objects and a split explains the colours better.
+
+    Every blob is assigned one known object, no object twice, at the greatest likelihood of the blobs' colours. A cut
+    along a neck or a change of colour is worth what it adds to that likelihood; the best is made, and so on.
 
     Args:
+        rgb: (H, W, 3) the image.
         labels: (H, W) int32 label image.
-        wanted: how many objects there are.
+        looks: (K, B) from `learn_looks`.
         min_pixels: no part may be smaller.
     """
     labels = labels.copy()
+    bins = colour_bins(rgb)
     count = int(labels.max())
-    cuts = {k: best_cut(labels == k, min_pixels) for k in range(1, count + 1)} if count < wanted else {}
-    while count < wanted:
-        blob = min(cuts, key=lambda k: cuts[k][0], default=None)
-        if blob is None or cuts[blob][0] > _NECK:
+    if not 0 < count < len(looks):
+        return labels
+    scores = [_likelihood(looks, bins[labels == k]) for k in range(1, count + 1)]
+    cuts = [_cuts(labels == k, bins, looks, min_pixels) for k in range(1, count + 1)]
+    while count < len(looks):
+        now = _explained(scores)
+        best, chosen = _LEAST_GAIN, None
+        most = 0.0
+        for k, options in enumerate(cuts):
+            for cut in options:
+                gain = _explained([*scores[:k], *scores[k + 1 :], *cut.scores]) - now
+                if gain > best * cut.smaller and gain > most:
+                    most, chosen = gain, (k, cut)
+        if chosen is None:
             break
+        k, cut = chosen
         count += 1
-        labels[cuts[blob][1]] = count
-        for k in (blob, count):
-            cuts[k] = best_cut(labels == k, min_pixels)
+        labels.ravel()[cut.part] = count
+        scores[k] = cut.scores[0]
+        scores.append(cut.scores[1])
+        cuts[k] = _cuts(labels == k + 1, bins, looks, min_pixels)
+        cuts.append(_cuts(labels == count, bins, looks, min_pixels))
     return keep(labels, np.ones(count + 1, bool), 1)
 
 
-def best_cut(mask: Mask, min_pixels: int) -> tuple[float, Mask]:
-    """Return the neck's width relative to the narrower part's, inf without a neck, and the part (H, W) to cut off.
+def _likelihood(looks: Float, bins: NDArray[np.int64]) -> Float:
+    """(K,) log-likelihood of the pixels' colours under every object."""
+    return looks @ np.bincount(bins.ravel(), minlength=looks.shape[1])
 
-    Level sets of the distance to the border come apart at necks: this is the watershed of the distance transform,
-    level by level (Vincent and Soille, PAMI 1991), with the depth of each saddle at hand.
+
+def _explained(scores: list[Float]) -> float:
+    """The greatest sum of one score a blob, no object used twice."""
+    table = np.array(scores)
+    rows, columns = linear_sum_assignment(table, maximize=True)
+    return float(table[rows, columns].sum())
+
+
+def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int) -> list[_Cut]:
+    """Every way considered to cut a blob in two."""
+    box = window(mask, 1)
+    inside, colours = mask[box], bins[box]
+    index = np.arange(mask.size).reshape(mask.shape)[box]
+    whole = _likelihood(looks, colours[inside])
+    size = int(inside.sum())
+    cuts: list[_Cut] = []
+    for part in (*neck_cuts(inside), *_colour_cuts(inside, colours, looks)):
+        n = int(part.sum())
+        if min_pixels <= n <= size - min_pixels:
+            score = _likelihood(looks, colours[part])
+            cuts.append(_Cut(np.stack([whole - score, score]), index[part], min(n, size - n)))
+    return cuts
+
+
+def neck_cuts(mask: Mask) -> Iterator[Mask]:
+    """Yield the parts (H, W) that necks cut off.
+
+    Level sets of the distance to the border come apart at necks: the watershed of the distance transform, level by
+    level (Vincent and Soille, PAMI 1991).
     """
     distance = cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    best, part = np.inf, mask
+    before = 1
     for level in np.arange(0.5, float(distance.max()), 0.5):
-        _, cores = cv2.connectedComponents((distance > level).astype(np.uint8), connectivity=8)
+        cores = cv2.connectedComponents((distance > level).astype(np.uint8), connectivity=8)[1].astype(np.int32)
         n = int(cores.max())
-        if n < 2:
-            continue
-        peaks = np.zeros(n + 1)
-        np.maximum.at(peaks, cores.ravel(), distance.ravel())
-        order = np.argsort(-peaks[1:]) + 1
-        ratio = float(level / peaks[order[1]])
-        if ratio < best:
-            cut = mask & (nearest_label(np.where(cores == order[1], 2, (cores > 0).astype(np.int32))) == 2)
-            if min_pixels <= cut.sum() <= mask.sum() - min_pixels:
-                best, part = ratio, cut
-    return best, part
+        if n > 1 and n != before:
+            owners = np.where(mask, nearest_label(cores), 0)
+            for k in range(1, n + 1):
+                if level < _NECK * float(distance[cores == k].max()):
+                    yield owners == k
+        before = n
+
+
+def _colour_cuts(mask: Mask, bins: NDArray[np.int64], looks: Float) -> Iterator[Mask]:
+    """Yield the connected parts (H, W) in which, over a small window, some object is the likeliest."""
+    weight = np.maximum(cv2.blur(mask.astype(np.float32), (_BLUR_PX, _BLUR_PX)), 1e-6)
+    maps = np.where(mask, looks.astype(np.float32)[:, bins], 0)
+    smooth = np.stack([cv2.blur(m, (_BLUR_PX, _BLUR_PX)) / weight for m in maps])
+    for first in range(len(looks)):
+        for second in range(first + 1, len(looks)):
+            wins = mask & (smooth[second] > smooth[first])
+            parts, members, stats, _ = cv2.connectedComponentsWithStats(wins.astype(np.uint8), connectivity=8)
+            if parts > 1:
+                yield members == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

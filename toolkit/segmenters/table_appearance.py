@@ -26,7 +26,8 @@ class TableAppearanceSegmenter(Plugin):
     """What differs from the table's look, learnt from the current frames, where depth says what is table (RGB only).
 
     The empty table is drawn in the image's camera, compared after a photometric fit, and the borders of what differs
-    are refined by GrabCut. Touching objects are split at necks while there are fewer than the current frames show.
+    are refined by GrabCut. Touching objects are split while there are fewer than the current frames
+    show and two of those explain a blob's colours better than one.
     Segments come in row-major order of their first pixel.
     """
 
@@ -45,7 +46,7 @@ class TableAppearanceSegmenter(Plugin):
         view = render_table(scan, frame.camera)
         labels = find_blobs(frame.rgb, difference(frame.rgb, view), view, self.config.threshold, self.config.min_pixels)
         if self.config.split:
-            labels = split_touching(labels, scan.objects, self.config.min_pixels)
+            labels = split_touching(frame.rgb, labels, scan.looks, self.config.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
 
     def _scan(self, current: tuple[Frame, ...]) -> TableScan:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.segmenters.clusters import cluster_above_plane, table_hull
+from toolkit.segmenters.looks import learn_looks
 from toolkit.segmenters.plane import Plane, fit_plane, on_plane, pixel_rays
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
@@ -29,14 +30,14 @@ class TableScan:
         T_world_table: (4, 4) the table's own frame: z = 0 is its surface, z points up from it.
         outline: (M, 2) float64 convex outline in that frame, metres.
         height: of the tallest object, metres.
-        objects: the most objects that one frame shows.
+        looks: (K, B) of the objects in the fullest frame, from `learn_looks`.
     """
 
     frames: tuple[tuple[Frame, Mask], ...]
     T_world_table: Float
     outline: Float
     height: float
-    objects: int
+    looks: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,8 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
     """
     frames: list[tuple[Frame, Mask]] = []
     planes: list[Plane] = []
-    height, most = _LEAST_HEIGHT_M, 0
+    height = _LEAST_HEIGHT_M
+    labels: list[NDArray[np.int32]] = []
     error = ToolkitError("table_appearance learns the table from the current frames, and there is none")
     for frame in current:
         try:
@@ -75,22 +77,23 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
         except ToolkitError as reason:
             error = reason
             continue
-        labels = cluster_above_plane(frame, plane)
-        things = labels > 0
+        labels.append(cluster_above_plane(frame, plane))
+        things = labels[-1] > 0
         if things.any() and frame.depth is not None:
             tops = plane.heights(pixel_rays(frame)[things], frame.depth[things])
             height = max(height, float(np.percentile(tops, 99)))
         kernel = np.ones((2 * _OBJECT_MARGIN_PX + 1,) * 2, np.uint8)
         frames.append((frame, on_plane(plane, frame) & (cv2.dilate(things.astype(np.uint8), kernel) == 0)))
         planes.append(plane)
-        most = max(most, int(labels.max()))
     if not frames:
         raise error
     T_world_table = _table_frame([frame for frame, _ in frames], planes)
     points = np.concatenate([_table_points(frame, mask) for frame, mask in frames])
     in_table = (points - T_world_table[:3, 3]) @ T_world_table[:3, :2]
     outline = table_hull(in_table.astype(np.float32)).astype(np.float64)
-    return TableScan(tuple(frames), T_world_table, outline, height * _HEADROOM, most)
+    places = [_places(frame, label, T_world_table) for (frame, _), label in zip(frames, labels, strict=True)]
+    looks = learn_looks([frame for frame, _ in frames], labels, places)
+    return TableScan(tuple(frames), T_world_table, outline, height * _HEADROOM, looks)
 
 
 def render_table(scan: TableScan, camera: Camera) -> TableView:
@@ -136,6 +139,18 @@ def _table_frame(frames: Sequence[Frame], planes: Sequence[Plane]) -> Float:
     T[:3, :3] = np.stack([side, np.cross(up, side), up], axis=1)
     T[:3, 3] = up * np.median(levels)
     return T
+
+
+def _places(frame: Frame, labels: NDArray[np.int32], T_world_table: Float) -> Float:
+    """(n, 2) median position of every label 1..n on the table, metres."""
+    assert frame.depth is not None
+    rays, T = pixel_rays(frame), invert(T_world_table) @ frame.camera.T_world_camera
+    places = np.zeros((int(labels.max()), 2))
+    for k in range(len(places)):
+        mask = (labels == k + 1) & (frame.depth > 0)
+        points = rays[mask] * frame.depth[mask][:, None]
+        places[k] = np.median(points @ T[:2, :3].T + T[:2, 3], axis=0) if len(points) else np.inf
+    return places
 
 
 def _table_points(frame: Frame, mask: Mask, step: int = 4) -> Float:

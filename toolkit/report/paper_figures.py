@@ -1,0 +1,20 @@
+"""The paper's own figures (Tables I and II), to stand beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+MULTI_VIEW = {60: (0.17, 0.17), 180: (0.25, 0.18)}
+SINGLE_VIEW = {60: (7.21, 2.24), 180: (153.67, 13.10)}
+"""Table I: rotation range (deg) -> median rotation (deg) and translation (cm) error."""
+
+ONE_STEP_COMPLETION = {"multi": 0.567, "single": 0.10}
+"""Table II, one-step: share of scenes completed by the whole system."""
+
+
+def paper_medians(settings: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Table I's medians (deg, cm) for a cell that sweeps views and rotation range as the paper does, else None."""
+    views, limit = settings.get("pipeline.views"), settings.get("dataset.rotation_deg")
+    table = SINGLE_VIEW if views == 1 else MULTI_VIEW if views == "all" else {}
+    return table.get(limit) if isinstance(limit, int | float) else None
