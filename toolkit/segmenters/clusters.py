@@ -13,7 +13,7 @@ from toolkit.types import Float, Frame, Mask
 
 _SMOOTH_PX = 1.5
 _HIGH, _LOW = 5.0, 2.5
-"""Hysteresis, in deviations of the table's noise: a blob is real with a pixel above the first, and reaches the second."""
+"""Hysteresis, in deviations of the table's noise: real with a pixel above the first, and down to the second."""
 
 _TABLE_CELL_M = 0.01
 _TOUCH_M = 0.04
@@ -49,7 +49,7 @@ def cluster_above_plane(
     core = low & (depth > 0)
     plan = (rays[core] * depth[core, None]) @ plan_axes(plane).T.astype(np.float32)
     seeds = np.zeros(depth.shape, np.int32)
-    seeds[core] = _plan_labels(plan, cell)
+    seeds[core] = _plan_labels(plan, max(cell, _footprint(frame, plane, core)))
     real = _supported(frame, plane, seeds, core, plan, heights) & np.isin(np.arange(seeds.max() + 1), seeds[high])
     labels = _grow(keep(seeds, real, min_pixels), low)
     if noisy:
@@ -67,6 +67,16 @@ def _smooth_heights(plane: Plane, rays: Float, depth: Float) -> tuple[Float, flo
     heights = np.where(weight > 0.05, total / np.maximum(weight, 0.05), 0)
     table = heights[(np.abs(raw) < 3 * plane.noise * plane.camera_height * depth) & (depth > 0)]
     return heights, float(1.4826 * np.median(np.abs(table))) if len(table) else 0.0
+
+
+def _footprint(frame: Frame, plane: Plane, core: Mask) -> float:
+    """Metres on the table between neighbouring pixels of `core`: finer cells would tear surfaces apart."""
+    assert frame.depth is not None
+    if not core.any():
+        return 0.0
+    rays, depth = pixel_rays(frame)[core], frame.depth[core]
+    sine = np.maximum(-(rays @ plane.normal.astype(np.float32)) / np.linalg.norm(rays, axis=1), 0.1)
+    return float(np.percentile(depth / sine, 95)) / float(frame.camera.K[1, 1])
 
 
 def _plan_labels(plan: Float, cell: float) -> NDArray[np.int32]:
@@ -106,19 +116,19 @@ def table_hull(points: Float) -> Float:
     _, labels = cv2.connectedComponents(cv2.dilate(grid, np.ones((5, 5), np.uint8)))
     members = labels[tuple(cells.T)]
     largest = int(np.bincount(members).argmax())
-    return cv2.convexHull(points[members == largest].astype(np.float32))[:, 0]
+    return np.asarray(cv2.convexHull(points[members == largest].astype(np.float32))[:, 0], np.float32)
 
 
 def inside_hull(hull: Float, points: Float) -> Mask:
     """(N,) bool: which (N, 2) points lie in a convex polygon (M, 2) of either orientation."""
     edges = np.roll(hull, -1, axis=0) - hull
     sides = points @ np.stack([-edges[:, 1], edges[:, 0]]) - (hull[:, 1] * edges[:, 0] - hull[:, 0] * edges[:, 1])
-    return (sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)
+    return np.asarray((sides >= 0).all(axis=1) | (sides <= 0).all(axis=1))
 
 
 def _grow(seeds: NDArray[np.int32], mask: Mask) -> NDArray[np.int32]:
     """Give every pixel of `mask` that is connected to a seed the label of the seed nearest to it."""
-    _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1].astype(np.int32)
     real = np.zeros(int(parts.max()) + 1, bool)
     real[np.unique(parts[seeds > 0])] = True
     real[0] = False

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.segmenters.table_map import TableView
 from toolkit.types import Float, Image, Mask
@@ -13,7 +16,7 @@ _LOG_OFFSET = 8.0
 
 _LEAST_SIGMA = 0.012
 _SPREAD = 3.0
-_BACKGROUND_SPREAD = 0.06
+_LEAST_SPREAD = 0.06
 _SHADOW_DEPTH = 0.6
 
 
@@ -36,11 +39,11 @@ def difference(rgb: Image, view: TableView) -> Float:
     table += _light(image - table, view.seen)
     sigma = _deviation((image - table)[view.seen]) if view.seen.any() else np.full(3, _LEAST_SIGMA, np.float32)
     kernel = np.ones((3, 3), np.uint8)
-    low, high = cv2.erode(table, kernel), cv2.dilate(table, kernel)
+    low, high = _float(cv2.erode(table, kernel)), _float(cv2.dilate(table, kernel))
     near_unseen = cv2.dilate((~view.seen).astype(np.uint8), kernel) > 0
     _fill_range(low, high, near_unseen & view.table, table[view.seen])
     beyond = ~view.table
-    _fill_range(low, high, beyond, image[beyond & ~view.reach])
+    _fill_range(low, high, beyond, image[beyond])
     excess = np.maximum(image - high, 0) - np.maximum(low - image, 0)
     score = np.linalg.norm(excess / sigma, axis=2)
     score[_shadow(image - table, sigma) & view.seen] *= 0.5
@@ -51,6 +54,10 @@ def difference(rgb: Image, view: TableView) -> Float:
 def _log(rgb: Image) -> Float:
     smooth = cv2.GaussianBlur(rgb, (3, 3), 0)
     return np.log(smooth.astype(np.float32) + _LOG_OFFSET)
+
+
+def _float(image: NDArray[Any]) -> Float:
+    return np.asarray(image, np.float32)
 
 
 def _light(residual: Float, where: Mask) -> Float:
@@ -84,8 +91,10 @@ def _fill_range(low: Float, high: Float, where: Mask, samples: Float) -> None:
         low[where], high[where] = -np.inf, np.inf
         return
     some = samples[:: max(len(samples) // 5000, 1)]
-    low[where] = np.percentile(some, 2, axis=0) - _BACKGROUND_SPREAD
-    high[where] = np.percentile(some, 98, axis=0) + _BACKGROUND_SPREAD
+    # Objects are among the samples, so the spread must not listen to outliers.
+    middle = np.median(some, axis=0)
+    spread = _SPREAD * 1.4826 * np.median(np.abs(some - middle), axis=0) + _LEAST_SPREAD
+    low[where], high[where] = middle - spread, middle + spread
 
 
 def _shadow(residual: Float, sigma: Float) -> Mask:

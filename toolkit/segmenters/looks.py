@@ -14,6 +14,8 @@ _LEVELS = 8
 _SMOOTH_BINS = 0.7
 _FLOOR = 1e-3
 _SAME_PLACE_M = 0.05
+_SIGHTINGS = 1 / 3
+"""A fragment of an object is a cluster of its own in few frames only."""
 
 
 def colour_bins(rgb: Image) -> NDArray[np.int64]:
@@ -36,6 +38,7 @@ def learn_looks(frames: Sequence[Frame], labels: Sequence[NDArray[np.int32]], pl
     fullest = int(np.argmax([len(place) for place in places]))
     known = places[fullest]
     counts = np.zeros((len(known), _LEVELS**3))
+    sightings = np.zeros(len(known))
     if not len(known):
         return counts
     for frame, label, place in zip(frames, labels, places, strict=True):
@@ -44,6 +47,8 @@ def learn_looks(frames: Sequence[Frame], labels: Sequence[NDArray[np.int32]], pl
         for k, row in enumerate(gaps, start=1):
             if row.min() < _SAME_PLACE_M:
                 counts[row.argmin()] += np.bincount(bins[label == k], minlength=_LEVELS**3)
+                sightings[row.argmin()] += 1
+    counts = counts[sightings > _SIGHTINGS * len(frames)]
     cubes = counts.reshape(-1, _LEVELS, _LEVELS, _LEVELS)
     smooth = gaussian_filter(cubes, (0, _SMOOTH_BINS, _SMOOTH_BINS, _SMOOTH_BINS)).reshape(counts.shape)
     shares = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1)

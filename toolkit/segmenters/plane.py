@@ -44,7 +44,7 @@ class Plane:
         return -self.coefficients * self.camera_height
 
     def inverse_depth(self, rays: Float) -> Float:
-        """(...,) inverse depth, 1/m, at which (..., 3) rays with z = 1 meet the plane; not positive where they do not."""
+        """(...,) 1/m: inverse depth at which (..., 3) rays with z = 1 meet the plane; not positive where none does."""
         return rays @ self.coefficients.astype(rays.dtype)
 
     def heights(self, rays: Float, depth: Float) -> Float:

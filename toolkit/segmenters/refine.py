@@ -50,5 +50,13 @@ def grabcut(rgb: Image, mask: Mask, never: Mask, iterations: int) -> Mask:
         return mask
     # OpenCV starts its colour models from its own generator, which is global.
     cv2.setRNGSeed(0)
-    cv2.grabCut(np.ascontiguousarray(rgb), marks, None, np.zeros((1, 65)), np.zeros((1, 65)), iterations)
+    cv2.grabCut(
+        np.ascontiguousarray(rgb),
+        marks,
+        (0, 0, 0, 0),
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        iterations,
+        cv2.GC_INIT_WITH_MASK,
+    )
     return (marks & 1) == 1

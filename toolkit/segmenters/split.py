@@ -18,7 +18,7 @@ from toolkit.types import Float, Image, Mask
 _NECK = 0.9
 """A neck is where the blob is narrower than this part of the narrower side's own width."""
 
-_LEAST_GAIN = 0.25
+_LEAST_GAIN = 1.25
 """Gain in log-likelihood a pixel of the smaller part, below which one object explains the blob as well."""
 
 _BLUR_PX = 9

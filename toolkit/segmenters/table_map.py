@@ -142,15 +142,15 @@ def _table_frame(frames: Sequence[Frame], planes: Sequence[Plane]) -> Float:
 
 
 def _places(frame: Frame, labels: NDArray[np.int32], T_world_table: Float) -> Float:
-    """(n, 2) median position of every label 1..n on the table, metres."""
+    """(n, 2) mean position of every label 1..n on the table, metres."""
     assert frame.depth is not None
-    rays, T = pixel_rays(frame), invert(T_world_table) @ frame.camera.T_world_camera
-    places = np.zeros((int(labels.max()), 2))
-    for k in range(len(places)):
-        mask = (labels == k + 1) & (frame.depth > 0)
-        points = rays[mask] * frame.depth[mask][:, None]
-        places[k] = np.median(points @ T[:2, :3].T + T[:2, 3], axis=0) if len(points) else np.inf
-    return places
+    T = invert(T_world_table) @ frame.camera.T_world_camera
+    chosen = (labels > 0) & (frame.depth > 0)
+    plan = (pixel_rays(frame)[chosen] * frame.depth[chosen][:, None]) @ T[:2, :3].T + T[:2, 3]
+    members = labels[chosen]
+    counts = np.bincount(members, minlength=int(labels.max()) + 1)[1:]
+    sums = [np.bincount(members, axis, len(counts) + 1)[1:] for axis in plan.T]
+    return np.stack(sums, axis=1) / np.maximum(counts, 1)[:, None]
 
 
 def _table_points(frame: Frame, mask: Mask, step: int = 4) -> Float:
@@ -176,6 +176,5 @@ def _polygon(scan: TableScan, camera: Camera, levels: Sequence[float]) -> Mask:
     mask = np.zeros((camera.height, camera.width), np.uint8)
     if len(ahead) > 2:
         limit = 20.0 * max(camera.width, camera.height)
-        hull: NDArray[np.int32] = cv2.convexHull(np.rint(ahead.clip(-limit, limit)).astype(np.int32))
-        cv2.fillConvexPoly(mask, hull, 1)
+        cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(ahead.clip(-limit, limit)).astype(np.int32)), 1)
     return mask > 0

@@ -2,8 +2,57 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import shutil
 from pathlib import Path
+
+import cv2
+import numpy as np
+
+from toolkit.data.procedural.families import FAMILIES, Drawn
+from toolkit.data.procedural.meshes import hull_stl, obj_text
+from toolkit.digests import source_digest
 
 
 def procedural_folder(parent: Path) -> Path:
-    raise NotImplementedError
+    """The set as a folder of scans (see `toolkit.data.scans`), written below `parent` when absent.
+
+    Every object comes from its own name's seed, so that the set can grow without changing what is in it.
+    """
+    folder = parent / f"procedural-{source_digest(__name__)[:16]}"
+    if folder.is_dir():
+        return folder
+    temporary = parent / f".{folder.name}.{os.getpid()}"
+    shutil.rmtree(temporary, ignore_errors=True)
+    notes: dict[str, dict[str, object]] = {}
+    for category, (family, count) in FAMILIES.items():
+        for number in range(count):
+            name = f"{category}_{number:02d}"
+            drawn = family(_generator(name))
+            _write(temporary / name, drawn)
+            notes[name] = {"category": category, "symmetry": drawn.symmetry}
+    (temporary / "objects.json").write_text(json.dumps(notes, indent=1))
+    try:
+        temporary.rename(folder)
+    except OSError:
+        # Another process was faster; its set is the same.
+        shutil.rmtree(temporary)
+    return folder
+
+
+def _generator(name: str) -> np.random.Generator:
+    return np.random.default_rng(np.frombuffer(hashlib.sha256(name.encode()).digest(), np.uint32).tolist())
+
+
+def _write(folder: Path, drawn: Drawn) -> None:
+    folder.mkdir(parents=True)
+    obj, mtl = obj_text(drawn.surface, "texture_map.jpg")
+    (folder / "textured.obj").write_text(obj)
+    (folder / "textured.mtl").write_text(mtl)
+    texture = cv2.imencode(".jpg", drawn.texture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
+    (folder / "texture_map.jpg").write_bytes(texture.tobytes())
+    pieces = [stl for stl in map(hull_stl, drawn.surface.hulls) if stl is not None]
+    for number, stl in enumerate(pieces):
+        (folder / f"textured_coacd_{number}.stl").write_bytes(stl)

@@ -1,0 +1,117 @@
+"""Score and time every segmenter on a folder of captures with true masks; prints Markdown.
+
+python experiments/benchmarks/segmenters.py DATASET --scenes 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from scipy.optimize import linear_sum_assignment
+
+from toolkit.data.bop import load_capture
+from toolkit.errors import ToolkitError
+from toolkit.progress import Progress
+from toolkit.stages import SEGMENTERS
+from toolkit.stats import bootstrap_interval, wilson_interval
+from toolkit.types import Capture, Frame, Mask, Segment
+
+MATCH_IOU = 0.5
+SMALLEST_PX = 60
+"""Objects with fewer visible pixels are not asked for; a segment on one counts as false all the same."""
+
+
+@dataclass
+class Tally:
+    """What one segmenter did on one kind of image; `ious` and `scenes` have one entry a matched object."""
+
+    objects: int = 0
+    segments: int = 0
+    refused: int = 0
+    ious: list[float] = field(default_factory=list)
+    scenes: list[int] = field(default_factory=list)
+    milliseconds: list[float] = field(default_factory=list)
+
+    def row(self, name: str, kind: str) -> str:
+        """One Markdown row."""
+        if not self.milliseconds:
+            return f"| {name} | {kind} | not applicable | | | |"
+        matched = len(self.ious)
+        recall, precision = (_share(matched, total) for total in (self.objects, self.segments))
+        iou = "-"
+        if matched:
+            low, high = bootstrap_interval(np.array(self.ious), np.array(self.scenes), lambda v: float(v.mean()))
+            iou = f"{np.mean(self.ious):.3f} [{low:.3f}, {high:.3f}]"
+        return f"| {name} | {kind} | {recall} | {precision} | {iou} | {np.median(self.milliseconds):.0f} |"
+
+
+def main() -> None:
+    """Parse the command line, score, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path, help="folder of capture folders")
+    parser.add_argument("--scenes", type=int, default=20, help="how many captures, from the first")
+    parser.add_argument("--segmenter", action="append", help="only these; all when left out")
+    arguments = parser.parse_args()
+    captures = sorted(path.parent for path in arguments.dataset.glob("*/goal"))[: arguments.scenes]
+    if not captures:
+        parser.error(f"there is no capture in '{arguments.dataset}'")
+    names = arguments.segmenter or SEGMENTERS.names()
+    tallies = {(name, kind): Tally() for name in names for kind in ("current", "goal")}
+    console = Console()
+    with Progress(Console(stderr=True)).step("segmenting", len(captures)) as advance:
+        for number, path in enumerate(captures):
+            capture = load_capture(path)
+            for name in names:
+                _score(name, capture, number, tallies)
+            advance(1)
+    console.print(f"{len(captures)} captures of {arguments.dataset}; recall and precision at IoU {MATCH_IOU}, mean IoU")
+    console.print("of the matches, 95 % intervals; median ms an image, what the scene's first image learns included.\n")
+    console.print("| segmenter | images | recall | precision | mean IoU | ms |\n| --- | --- | --- | --- | --- | --- |")
+    for (name, kind), tally in tallies.items():
+        console.print(tally.row(name, kind), soft_wrap=True, markup=False)
+
+
+def match(segments: list[Segment], truth: list[Mask]) -> list[float]:
+    """IoU of every pair above MATCH_IOU, under the one-to-one assignment that is best overall."""
+    table = np.array(
+        [[(mask & s.mask).sum() / (mask | s.mask).sum() for s in segments] for mask in truth], np.float64
+    ).reshape(len(truth), len(segments))
+    rows, columns = linear_sum_assignment(table, maximize=True)
+    return [float(iou) for iou in table[rows, columns] if iou >= MATCH_IOU]
+
+
+def _score(name: str, capture: Capture, number: int, tallies: dict[tuple[str, str], Tally]) -> None:
+    segmenter = SEGMENTERS.create(name)
+    images: list[tuple[str, Frame]] = [("goal", capture.goal), *(("current", frame) for frame in capture.current)]
+    for kind, frame in images:
+        if frame.true_masks is None:
+            raise SystemExit(f"capture '{capture.name}' has no true masks to score against")
+        tally = tallies[name, kind]
+        start = time.perf_counter()
+        try:
+            segments = segmenter.segment(frame, capture.current)
+        except ToolkitError:
+            # depth_plane on a goal image: it says so, and the table does too.
+            tally.refused += 1
+            continue
+        tally.milliseconds.append((time.perf_counter() - start) * 1e3)
+        truth = [mask for mask in frame.true_masks.values() if mask.sum() >= SMALLEST_PX]
+        found = match(segments, truth)
+        tally.objects += len(truth)
+        tally.segments += len(segments)
+        tally.ious += found
+        tally.scenes += [number] * len(found)
+
+
+def _share(part: int, total: int) -> str:
+    low, high = wilson_interval(part, total)
+    return f"{part / total if total else 0:.3f} [{low:.3f}, {high:.3f}]"
+
+
+if __name__ == "__main__":
+    main()

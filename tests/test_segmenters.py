@@ -1,0 +1,225 @@
+"""Every segmenter on small ray-cast scenes whose masks are known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolkit.errors import ToolkitError
+from toolkit.geometry import invert, look_at, transform_points
+from toolkit.segmenters.clusters import inside_hull, table_hull
+from toolkit.segmenters.plane import fit_plane, pixel_rays
+from toolkit.segmenters.split import neck_cuts
+from toolkit.segmenters.table_map import render_table, scan_table
+from toolkit.stages import SEGMENTERS
+from toolkit.types import Camera, Frame
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Centre of the base (x, y, z) and size (x, y, z), metres."""
+
+WIDTH, HEIGHT = 320, 240
+K = np.array([[308.0, 0, 159.5], [0, 308.0, 119.5], [0, 0, 1]])
+COLOURS = np.array([[200, 40, 40], [40, 60, 190], [30, 140, 50], [230, 220, 60]], np.uint8)
+HALF_TABLE = 0.5
+
+NOW: list[Box] = [
+    ((-0.2, 0.0, 0), (0.08, 0.12, 0.1)),
+    ((0.1, 0.1, 0), (0.2, 0.03, 0.01)),
+    ((0.15, -0.15, 0), (0.07,) * 3),
+]
+THEN: list[Box] = [
+    ((0.2, 0.1, 0), (0.08, 0.12, 0.1)),
+    ((-0.1, -0.1, 0), (0.2, 0.03, 0.01)),
+    ((-0.1, 0.1, 0), (0.07,) * 3),
+]
+
+
+def camera(azimuth_deg: float) -> Camera:
+    """A view of the table's centre from 1 m and 45 degrees above."""
+    a = np.radians(azimuth_deg)
+    eye = np.array([0.75 * np.cos(a), 0.75 * np.sin(a), 0.75])
+    return Camera(K, look_at(eye, np.zeros(3)), WIDTH, HEIGHT)
+
+
+def shoot(index: int, view: Camera, boxes: Sequence[Box], noise: float = 0.0, *, depth: bool = True) -> Frame:
+    """Ray-cast boxes on a textured table; beyond its edge is grey, without depth."""
+    frame = Frame(index, np.zeros((HEIGHT, WIDTH, 3), np.uint8), view)
+    T = view.T_world_camera
+    rays = pixel_rays(frame).astype(np.float64) @ T[:3, :3].T
+    eye = T[:3, 3]
+    nearest = -eye[2] / rays[..., 2]
+    ground = eye + nearest[..., None] * rays
+    on_table = (np.abs(ground[..., :2]) < HALF_TABLE).all(axis=2) & (nearest > 0)
+    owner = np.where(on_table, 0, -1)
+    nearest = np.where(on_table, nearest, np.inf)
+    grain = 12 * np.sin(40 * ground[..., 0] + 6 * np.sin(25 * ground[..., 1])) + 8 * np.sin(90 * ground[..., 1])
+    rgb = np.where(on_table[..., None], np.array([170, 140, 100]) + grain[..., None], 95.0)
+    for k, (base, size) in enumerate(boxes, start=1):
+        low, high = np.array(base) - np.array([size[0] / 2, size[1] / 2, 0]), np.array(base)
+        high = high + np.array([size[0] / 2, size[1] / 2, size[2]])
+        with np.errstate(divide="ignore"):
+            a, b = (low - eye) / rays, (high - eye) / rays
+        enter, leave = np.minimum(a, b).max(axis=2), np.maximum(a, b).min(axis=2)
+        hit = (enter < leave) & (enter > 0) & (enter < nearest)
+        nearest = np.where(hit, enter, nearest)
+        owner[hit] = k
+        side = np.minimum(a, b).argmax(axis=2)
+        shade = np.array([0.75, 0.85, 1.0])[side]
+        rgb = np.where(hit[..., None], COLOURS[(k - 1) % len(COLOURS)] * shade[..., None], rgb)
+    rng = np.random.default_rng(index)
+    z = np.where(np.isfinite(nearest), nearest, 0)
+    if noise:
+        z = z * (1 + noise * rng.standard_normal(z.shape)) * (rng.random(z.shape) > 0.02)
+        rgb = rgb + rng.normal(0, 2.5, rgb.shape)
+    masks = {k: owner == k for k in range(1, len(boxes) + 1) if (owner == k).any()}
+    return Frame(index, rgb.clip(0, 255).astype(np.uint8), view, z.astype(np.float32) if depth else None, masks)
+
+
+def ring(boxes: Sequence[Box], noise: float = 0.0) -> list[Frame]:
+    return [shoot(i, camera(-90 + 72 * i), boxes, noise) for i in range(5)]
+
+
+def image_for(name: str, boxes: Sequence[Box], noise: float = 0.0) -> Frame:
+    """What a segmenter is meant for: table_appearance a goal without depth, the others an RGB-D frame."""
+    return shoot(50, camera(-90), boxes, noise, depth=name != "table_appearance")
+
+
+def ious(frame: Frame, segments: Sequence) -> list[float]:
+    """The best IoU of every true object."""
+    assert frame.true_masks is not None
+    found = [s.mask for s in segments]
+    return [max((float((m & s).sum() / (m | s).sum()) for s in found), default=0) for m in frame.true_masks.values()]
+
+
+@pytest.mark.parametrize("name", SEGMENTERS.names())
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_contract(name: str, noise: float) -> None:
+    """Disjoint non-empty masks of the image's size, the true objects, the same twice."""
+    current, frame = ring(NOW, noise), image_for(name, THEN, noise)
+    segments = SEGMENTERS.create(name).segment(frame, current)
+    assert sum(s.mask.astype(int) for s in segments).max() == 1
+    assert all(s.mask.shape == (HEIGHT, WIDTH) and s.mask.any() for s in segments)
+    assert len(segments) == len(THEN)
+    assert min(ious(frame, segments)) > 0.8
+    again = SEGMENTERS.create(name).segment(frame, current)
+    assert all(np.array_equal(a.mask, b.mask) for a, b in zip(segments, again, strict=True))
+
+
+@pytest.mark.parametrize("name", SEGMENTERS.names())
+def test_empty_table_has_no_segment(name: str) -> None:
+    assert SEGMENTERS.create(name).segment(image_for(name, []), ring([])) == []
+
+
+@pytest.mark.parametrize("name", SEGMENTERS.names())
+def test_goal_without_object_has_no_segment(name: str) -> None:
+    assert SEGMENTERS.create(name).segment(image_for(name, []), ring(NOW)) == []
+
+
+@pytest.mark.parametrize("name", SEGMENTERS.names())
+def test_single_object(name: str) -> None:
+    frame = image_for(name, THEN[:1])
+    segments = SEGMENTERS.create(name).segment(frame, ring(NOW[:1]))
+    assert len(segments) == 1
+    assert ious(frame, segments)[0] > 0.85
+
+
+@pytest.mark.parametrize("name", ["depth_plane", "table_appearance"])
+def test_no_depth_anywhere_is_a_users_mistake(name: str) -> None:
+    blind = [Frame(f.index, f.rgb, f.camera, np.zeros((HEIGHT, WIDTH), np.float32)) for f in ring(NOW)]
+    with pytest.raises(ToolkitError, match="depth"):
+        SEGMENTERS.create(name).segment(blind[0], blind)
+
+
+def test_oracle_needs_truth() -> None:
+    frame = Frame(0, np.zeros((HEIGHT, WIDTH, 3), np.uint8), camera(0))
+    with pytest.raises(ToolkitError, match="true masks"):
+        SEGMENTERS.create("oracle").segment(frame, [])
+
+
+def test_what_lies_beside_the_table_is_no_object() -> None:
+    beside: list[Box] = [*NOW, ((0.0, 0.75, 0.0), (0.2, 0.1, 0.1))]
+    frame = shoot(0, camera(-90), beside)
+    assert frame.true_masks is not None and frame.true_masks[4].sum() > 500
+    segments = SEGMENTERS.create("depth_plane").segment(frame, [frame])
+    assert len(segments) == 3
+    assert not any((s.mask & frame.true_masks[4]).any() for s in segments)
+
+
+def test_light_that_changes_is_not_an_object() -> None:
+    goal = image_for("table_appearance", THEN)
+    slope = np.linspace(0.75, 1.1, WIDTH)[None, :, None]
+    lit = Frame(goal.index, (goal.rgb * slope).clip(0, 255).astype(np.uint8), goal.camera, None, goal.true_masks)
+    segments = SEGMENTERS.create("table_appearance").segment(lit, ring(NOW))
+    assert len(segments) == len(THEN)
+    assert min(ious(goal, segments)) > 0.8
+
+
+def test_touching_objects_are_split_by_what_the_current_scene_knows() -> None:
+    touching: list[Box] = [
+        ((-0.04, 0, 0), (0.08, 0.12, 0.1)),
+        ((0.1, -0.3, 0), (0.2, 0.03, 0.01)),
+        ((0.035, 0, 0), (0.07,) * 3),
+    ]
+    goal = image_for("table_appearance", touching)
+    apart = SEGMENTERS.create("table_appearance").segment(goal, ring(NOW))
+    together = SEGMENTERS.create("table_appearance", {"split": False}).segment(goal, ring(NOW))
+    assert (len(together), len(apart)) == (2, 3)
+    assert min(ious(goal, apart)) > 0.8
+
+
+def test_the_table_is_learnt_once_a_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    import toolkit.segmenters.table_appearance as module
+
+    calls: list[int] = []
+    monkeypatch.setattr(module, "scan_table", lambda frames: calls.append(len(frames)) or scan_table(frames))
+    segmenter, current = SEGMENTERS.create("table_appearance"), ring(NOW)
+    first = segmenter.segment(image_for("table_appearance", THEN), current)
+    segmenter.segment(image_for("table_appearance", THEN), current)
+    assert calls == [5]
+    other = ring(THEN)
+    segmenter.segment(image_for("table_appearance", NOW), other)
+    assert calls == [5, 5]
+    assert len(first) == 3
+
+
+def test_the_map_shows_the_empty_table() -> None:
+    view = render_table(scan_table(ring(NOW)), camera(-60))
+    empty = shoot(0, camera(-60), [])
+    assert view.seen.mean() > 0.5
+    assert np.abs(view.rgb.astype(int) - empty.rgb)[view.seen].mean() < 2
+    assert ((view.table == (empty.depth > 0)).mean()) > 0.99
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-180, 180), st.floats(0.0, 0.004))
+def test_plane_is_the_table(azimuth: float, noise: float) -> None:
+    frame = shoot(3, camera(azimuth), NOW, noise)
+    plane = fit_plane(frame)
+    T = invert(frame.camera.T_world_camera)
+    up = T[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    assert np.degrees(np.arccos(min(float(plane.normal @ up), 1.0))) < 0.3
+    assert abs(plane.camera_height - 0.75) < 0.002
+    corners = transform_points(T, np.array([[0.1, 0.2, 0.05], [-0.3, 0.0, 0.0]]))
+    assert np.allclose(plane.heights(corners / corners[:, 2:], corners[:, 2]), [0.05, 0.0], atol=4e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_hull_holds_its_points_and_nothing_far(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-0.3, 0.3, (4000, 2)).astype(np.float32)
+    hull = table_hull(points)
+    assert inside_hull(hull * 1.001, points).all()
+    assert inside_hull(hull[::-1] * 1.001, points).all()
+    assert not inside_hull(hull, points + np.float32(0.7)).any()
+
+
+def test_a_neck_parts_two_discs() -> None:
+    y, x = np.mgrid[:80, :120]
+    left, right = (x - 40) ** 2 + (y - 40) ** 2 < 22**2, (x - 78) ** 2 + (y - 40) ** 2 < 20**2
+    parts = list(neck_cuts(left | right))
+    assert max(float((p & right).sum() / (p | right).sum()) for p in parts) > 0.9
+    assert list(neck_cuts(left)) == []
