@@ -44,12 +44,14 @@ def _clutter(labels: NDArray[np.int32], view: TableView) -> Mask:
     """(n + 1,) blobs that are not on the table: no part on it, or nothing but a thin line along its edge."""
     count = int(labels.max()) + 1
     sizes = np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
-    padded = np.pad(view.table.astype(np.uint8), 1, mode="edge")
     kernel = np.ones((2 * _EDGE_PX + 1,) * 2, np.uint8)
-    inner = cv2.erode(padded, kernel)[1:-1, 1:-1] > 0
+    # Where the image ends, the table does not.
+    padded = np.pad(view.table.astype(np.uint8), _EDGE_PX, mode="edge")
+    trim = slice(_EDGE_PX, -_EDGE_PX)
+    edge = (cv2.dilate(padded, kernel) > cv2.erode(padded, kernel))[trim, trim]
     on_table = np.bincount(labels[view.table], minlength=count) / sizes
-    inside = np.bincount(labels[inner], minlength=count) / sizes
-    return (on_table < 0.1) | (inside < 0.05)
+    on_edge = np.bincount(labels[edge], minlength=count) / sizes
+    return (on_table < 0.1) | (on_edge > 0.6)
 
 
 def _fill_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:

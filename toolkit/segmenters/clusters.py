@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from toolkit.segmenters.labels import keep, nearest_label
 from toolkit.segmenters.plane import Plane, on_plane, pixel_rays, plan_axes
-from toolkit.segmenters.refine import snap_to_colour
 from toolkit.types import Float, Frame, Mask
 
 _SMOOTH_PX = 1.5
@@ -38,12 +37,10 @@ def cluster_above_plane(
     assert frame.depth is not None
     rays = pixel_rays(frame)
     depth = frame.depth
-    noise_height = plane.noise * plane.camera_height * float(np.median(depth[depth > 0]))
-    noisy = _HIGH * noise_height > min_height
-    if noisy:
+    if is_noisy(frame, plane, min_height):
         heights, noise_height = _smooth_heights(plane, rays, depth)
     else:
-        heights = np.where(depth > 0, plane.heights(rays, depth), 0)
+        heights, noise_height = np.where(depth > 0, plane.heights(rays, depth), 0), 0.0
     high = heights > max(min_height, _HIGH * noise_height)
     low = heights > max(min_height, _LOW * noise_height)
     core = low & (depth > 0)
@@ -52,9 +49,13 @@ def cluster_above_plane(
     seeds[core] = _plan_labels(plan, max(cell, _footprint(frame, plane, core)))
     real = _supported(frame, plane, seeds, core, plan, heights) & np.isin(np.arange(seeds.max() + 1), seeds[high])
     labels = _grow(keep(seeds, real, min_pixels), low)
-    if noisy:
-        labels = snap_to_colour(frame.rgb, labels)
     return keep(labels, np.ones(int(labels.max(initial=0)) + 1, bool), min_pixels)
+
+
+def is_noisy(frame: Frame, plane: Plane, min_height: float) -> bool:
+    """Say whether the table's own noise reaches `min_height` (metres), so that depth alone leaves borders ragged."""
+    assert frame.depth is not None
+    return _HIGH * plane.noise * plane.camera_height * float(np.median(frame.depth[frame.depth > 0])) > min_height
 
 
 def _smooth_heights(plane: Plane, rays: Float, depth: Float) -> tuple[Float, float]:

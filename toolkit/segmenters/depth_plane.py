@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.segmenters.clusters import cluster_above_plane
+from toolkit.segmenters.clusters import cluster_above_plane, is_noisy
+from toolkit.segmenters.labels import keep
 from toolkit.segmenters.plane import fit_plane
+from toolkit.segmenters.refine import snap_to_colour
 from toolkit.types import Frame, Segment
 
 
@@ -35,7 +38,9 @@ class DepthPlaneSegmenter(Plugin):
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the clusters above the table; raises ToolkitError without depth or where no table is in it."""
         settings = self.config
-        labels = cluster_above_plane(
-            frame, fit_plane(frame), settings.min_height_mm / 1e3, settings.cell_mm / 1e3, settings.min_pixels
-        )
+        plane, min_height = fit_plane(frame), settings.min_height_mm / 1e3
+        labels = cluster_above_plane(frame, plane, min_height, settings.cell_mm / 1e3, settings.min_pixels)
+        if is_noisy(frame, plane, min_height):
+            refined = snap_to_colour(frame.rgb, labels)
+            labels = keep(refined, np.ones(int(labels.max()) + 1, bool), settings.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]

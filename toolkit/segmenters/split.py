@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -18,19 +19,23 @@ from toolkit.types import Float, Image, Mask
 _NECK = 0.9
 """A neck is where the blob is narrower than this part of the narrower side's own width."""
 
-_LEAST_GAIN = 1.25
-"""Gain in log-likelihood a pixel of the smaller part, below which one object explains the blob as well."""
+_NECK_GAIN, _COLOUR_GAIN = 0.6, 1.25
+"""Gain in log-likelihood a pixel of the smaller part, below which one object explains the blob as well.
+
+A change of colour alone is weaker evidence of two objects than a neck.
+"""
 
 _BLUR_PX = 9
+_OUTLINE_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """A blob in two: log-likelihoods (2, K) of the parts under every object, and the pixels (N,) of the second."""
+    """A blob in two: log-likelihoods (2, K) of both parts, pixels (N,) of the second, and the least gain."""
 
     scores: Float
     part: NDArray[np.int64]
-    smaller: int
+    least_gain: float
 
 
 def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixels: int) -> NDArray[np.int32]:
@@ -54,12 +59,11 @@ def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixe
     cuts = [_cuts(labels == k, bins, looks, min_pixels) for k in range(1, count + 1)]
     while count < len(looks):
         now = _explained(scores)
-        best, chosen = _LEAST_GAIN, None
-        most = 0.0
+        most, chosen = 0.0, None
         for k, options in enumerate(cuts):
             for cut in options:
                 gain = _explained([*scores[:k], *scores[k + 1 :], *cut.scores]) - now
-                if gain > best * cut.smaller and gain > most:
+                if gain > max(most, cut.least_gain):
                     most, chosen = gain, (k, cut)
         if chosen is None:
             break
@@ -93,12 +97,22 @@ def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int) ->
     whole = _likelihood(looks, colours[inside])
     size = int(inside.sum())
     cuts: list[_Cut] = []
-    for part in (*neck_cuts(inside), *_colour_cuts(inside, colours, looks)):
+    necks = ((part, _NECK_GAIN) for part in neck_cuts(inside))
+    changes = ((part, _COLOUR_GAIN) for part in _colour_cuts(inside, colours, looks))
+    for part, gain in chain(necks, changes):
         n = int(part.sum())
-        if min_pixels <= n <= size - min_pixels:
+        if min_pixels <= n <= size - min_pixels and _reaches_outline(part, inside):
             score = _likelihood(looks, colours[part])
-            cuts.append(_Cut(np.stack([whole - score, score]), index[part], min(n, size - n)))
+            cuts.append(_Cut(np.stack([whole - score, score]), index[part], gain * min(n, size - n)))
     return cuts
+
+
+def _reaches_outline(part: Mask, mask: Mask) -> bool:
+    """Say whether enough of a part's outline is the blob's own: print on an object is surrounded by the object."""
+    kernel = np.ones((3, 3), np.uint8)
+    own = part & (cv2.erode(part.astype(np.uint8), kernel) == 0)
+    shared = own & (cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) == 0)
+    return int(shared.sum()) >= _OUTLINE_SHARE * int(own.sum())
 
 
 def neck_cuts(mask: Mask) -> Iterator[Mask]:

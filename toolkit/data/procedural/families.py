@@ -114,9 +114,8 @@ def mug(rng: np.random.Generator) -> Drawn:
     atlas = _Atlas()
     glaze = textures.glazed(rng, 1024, 420) if rng.random() < 0.5 else _wrapped(rng, textures.color(rng))
     outside = atlas.paint(glaze, (0, 0.45, 1, 1))
-    inside = atlas.paint(
-        textures.speckled(rng, textures.canvas(512, 200, textures.color(rng, (0, 0.3), 1))), (0, 0.2, 1, 0.43)
-    )
+    lining = textures.canvas(512, 200, textures.color(rng, (0, 0.3), 1))
+    inside = atlas.paint(textures.speckled(rng, lining, 3.0), (0, 0.2, 1, 0.43))
     grip = atlas.paint(textures.painted(rng, 512, 150, textures.color(rng)), (0, 0, 1, 0.18))
     shell = lathe(np.array([[r * flare, 0.0], [r, h]]), outside, hollow=True)
     inner = np.array([[r, h], [r - wall, h], [r * flare - wall, wall], [0, wall]])
@@ -137,8 +136,8 @@ def bowl(rng: np.random.Generator) -> Drawn:
     t = np.linspace(0, 1, 14)
     bend = rng.uniform(0.4, 0.75)
     outer = np.stack([r * (0.45 + 0.55 * t**bend), h * t ** rng.uniform(1.3, 2.2)], axis=1)
-    inner = outer[::-1] + [-wall, wall * 0.6]
-    inner[0] = outer[-1] + [-wall, 0]
+    inner = outer[::-1] + np.array([-wall, wall * 0.6])
+    inner[0] = outer[-1] - np.array([wall, 0])
     plain = rng.random() < 0.125
     atlas = _Atlas()
     if plain:

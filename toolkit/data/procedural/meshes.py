@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -150,19 +151,16 @@ def _split_sharp(profile: Float) -> list[tuple[int, int]]:
     steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
     sharp = np.flatnonzero((steps[:-1] * steps[1:]).sum(axis=1) < _SHARP_COSINE) + 1
     stops = [0, *sharp.tolist(), len(profile) - 1]
-    return list(zip(stops[:-1], stops[1:], strict=True))
+    return list(pairwise(stops))
 
 
 def _sectors(vertices: Float, count: int = 8) -> tuple[Float, ...]:
     """Split a shell into sectors about z, each closed by the neighbouring one's edge."""
     turn = (np.arctan2(vertices[:, 1], vertices[:, 0]) % (2 * np.pi)) * count / (2 * np.pi)
     off_axis = np.hypot(vertices[:, 0], vertices[:, 1]) > 1e-6
-    wall = tuple(
-        vertices[off_axis & (np.abs((turn - k - 0.5 + count / 2) % count - count / 2) <= 0.51)] for k in range(count)
-    )
-    low = vertices[:, 2].min()
-    floor = vertices[vertices[:, 2] < low + 0.006]
-    return tuple(_outer_shell(piece) for piece in wall) + (floor,)
+    beside = [np.abs((turn - k - 0.5 + count / 2) % count - count / 2) <= 0.51 for k in range(count)]
+    floor = vertices[vertices[:, 2] < vertices[:, 2].min() + 0.006]
+    return (*(_outer_shell(vertices[off_axis & sector]) for sector in beside), floor)
 
 
 def _outer_shell(points: Float) -> Float:

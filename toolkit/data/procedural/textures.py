@@ -44,7 +44,7 @@ def text(sheet: Image, words: str, center: tuple[float, float], height: float, i
     size = height * sheet.shape[0] / cv2.getTextSize(words, font, 1.0, 1)[0][1]
     widest = 0.9 * sheet.shape[1] / max(1, cv2.getTextSize(words, font, 1.0, 1)[0][0])
     size = min(size, widest)
-    thickness = max(1, int(round(1.6 * size)))
+    thickness = max(1, round(1.6 * size))
     (w, h), _ = cv2.getTextSize(words, font, size, thickness)
     x, y = int(center[0] * sheet.shape[1] - w / 2), int(center[1] * sheet.shape[0] + h / 2)
     cv2.putText(sheet, words, (x, y), font, size, ink, thickness, cv2.LINE_AA)
@@ -164,8 +164,8 @@ def painted(rng: np.random.Generator, width: int, height: int, base: Color) -> I
     ink = contrasting(rng, base)
     text(sheet, str(rng.choice(_BRANDS)), (rng.uniform(0.3, 0.7), rng.uniform(0.35, 0.65)), 0.16, ink, _FONTS[0])
     for _ in range(int(rng.integers(10, 30))):
-        start = rng.uniform(0, [width, height])
-        end = start + rng.normal(0, 0.06 * width, 2)
+        start = rng.uniform(0, [width, height]).astype(int)
+        end = start + rng.normal(0, 0.06 * width, 2).astype(int)
         shade = int(rng.integers(60, 230))
         cv2.line(
             sheet, tuple(start.astype(int).tolist()), tuple(end.astype(int).tolist()), (shade,) * 3, 1, cv2.LINE_AA
