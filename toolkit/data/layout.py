@@ -66,6 +66,9 @@ def _hull_points(hulls: tuple[Path, ...]) -> tuple[Float, Float]:
         raise ToolkitError(f"collision mesh of '{hulls[0].parent}' cannot be read: {error}") from error
     convex = [mesh.convex_hull for mesh in meshes]
     volumes = np.array([abs(float(mesh.volume)) for mesh in convex])
+    for path, volume in zip(hulls, volumes, strict=True):
+        if not volume > 0:
+            raise ToolkitError(f"collision mesh '{path}' is flat; remove it or export it again")
     centers = np.array([mesh.center_mass for mesh in convex])
     return np.concatenate([mesh.vertices for mesh in convex]), np.average(centers, axis=0, weights=volumes)
 

@@ -125,7 +125,8 @@ def mug(rng: np.random.Generator) -> Drawn:
     height, reach = 0.34 * h, rng.uniform(0.022, 0.032)
     path = np.stack([0.96 * r + reach * np.cos(angle), 0 * angle, 0.5 * h + height * np.sin(angle)], axis=1)
     handle = tube(path, rng.uniform(0.004, 0.006), grip)
-    hulls = shell.hulls[:-1] + foot.hulls + handle.hulls
+    floor = np.concatenate([foot.vertices, foot.vertices + np.array([0, 0, wall])])
+    hulls = (*shell.hulls[:-1], floor, *handle.hulls)
     whole = merge([shell, cup, foot, handle])
     return Drawn(on_table(Surface(whole.vertices, whole.uv, whole.faces, hulls)), atlas.image)
 
