@@ -156,7 +156,7 @@ def bowl(rng: np.random.Generator) -> Drawn:
 
 
 def shoe(rng: np.random.Generator) -> Drawn:
-    """A shoe: a lofted upper on a sole, laces and a stripe."""
+    """A shoe: a lofted upper with an opening, on a sole; laces and stripes."""
     length, width, tall = rng.uniform(0.14, 0.2), rng.uniform(0.05, 0.065), rng.uniform(0.05, 0.07)
     x = np.linspace(0, 1, 14)
     outline = width / 2 * (0.72 + 0.28 * np.sin(np.pi * (0.15 + 0.85 * x)) - 0.35 * np.clip(x - 0.85, 0, 1))
@@ -175,10 +175,14 @@ def shoe(rng: np.random.Generator) -> Drawn:
     for k in range(6):
         cv2.line(side, (330 + 60 * k, 330), (380 + 60 * k, 410), textures.contrasting(rng, base), 7, cv2.LINE_AA)
     upper = loft(centers, np.stack([outline, rise], axis=1), 2.6, atlas.paint(side, (0, 0.3, 1, 1)))
-    sole_rect = atlas.paint(textures.label(rng, 1024, 240), (0, 0, 1, 0.28))
+    sole_rect = atlas.paint(textures.label(rng, 1024, 240), (0, 0, 0.75, 0.28))
+    cuff_rect = atlas.paint(textures.painted(rng, 256, 240, (52, 48, 46)), (0.76, 0, 1, 0.28))
+    cuff = lathe(np.array([[0.9, -0.018], [0.8, 0.012], [0.68, 0.012], [0.6, 0.0], [0, -0.004]]), cuff_rect, 32)
+    heel = np.array([-0.24 * length, 0, 2 * rise[3] + 0.008])
+    cuff = Surface(cuff.vertices * np.array([0.24 * length, width / 2, 1]) + heel, cuff.uv, cuff.faces, ())
     low = np.stack([length * 1.03 * (x - 0.5), bend, np.full_like(x, 0.009)], axis=1)
     sole = loft(low, np.stack([outline * 1.06, np.full_like(x, 0.009)], axis=1), 4.0, sole_rect)
-    return Drawn(on_table(merge([upper, sole])), atlas.image)
+    return Drawn(on_table(merge([upper, sole, cuff])), atlas.image)
 
 
 def hammer(rng: np.random.Generator) -> Drawn:
@@ -192,11 +196,12 @@ def hammer(rng: np.random.Generator) -> Drawn:
     band = atlas.paint(paint, (0.5, 0, 1, 0.48))
     x = np.linspace(0, 1, 10)
     thick = 0.011 * (1 + 0.25 * np.sin(np.pi * x * rng.uniform(1.5, 2.5)))
-    centers = np.stack([length * x, 0 * x, 0 * x], axis=1)
+    # Level with the head's underside, so that it lies flat.
+    centers = np.stack([length * x, 0 * x, 0.8 * thick - 0.012], axis=1)
     handle = loft(centers, np.stack([thick, thick * 0.8], axis=1), 2.5, handle_rect)
     block = box(np.array([0.03, head, 0.024]), [band, metal, band, metal, band, metal])
     block = block.moved(np.eye(3), np.array([length, 0.01, 0]))
-    face = lathe(np.array([[0, 0], [0.014, 0], [0.014, 0.02], [0, 0.02]]), metal, 24)
+    face = lathe(np.array([[0, 0], [0.012, 0], [0.012, 0.02], [0, 0.02]]), metal, 24)
     face = face.moved(Rotation.from_euler("x", 90, degrees=True).as_matrix(), np.array([length, 0.01 - head / 2, 0]))
     return Drawn(on_table(merge([handle, block, face])), atlas.image)
 

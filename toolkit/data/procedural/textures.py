@@ -22,9 +22,14 @@ _WORDS = (
 )  # fmt: skip
 
 
-def color(rng: np.random.Generator, saturation: tuple[float, float] = (0.45, 0.95), value: float = 0.85) -> Color:
-    """A random hue as RGB."""
-    hsv = np.array([[[rng.integers(0, 180), 255 * rng.uniform(*saturation), 255 * value * rng.uniform(0.75, 1.0)]]])
+def color(
+    rng: np.random.Generator,
+    saturation: tuple[float, float] = (0.45, 0.95),
+    value: float = 0.85,
+    hue: tuple[int, int] = (0, 180),
+) -> Color:
+    """A random hue (OpenCV's 0..180) as RGB."""
+    hsv = np.array([[[rng.integers(*hue), 255 * rng.uniform(*saturation), 255 * value * rng.uniform(0.75, 1.0)]]])
     r, g, b = cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB)[0, 0].tolist()
     return int(r), int(g), int(b)
 
@@ -200,7 +205,8 @@ def glazed(rng: np.random.Generator, width: int, height: int) -> Image:
 
 def skin(rng: np.random.Generator, width: int, height: int) -> Image:
     """Fruit: two tints blending, mottling, freckles and a sticker."""
-    low, high = np.array(color(rng, (0.55, 0.95))), np.array(color(rng, (0.5, 0.9), 0.95))
+    ripe = (0, 60)
+    low, high = np.array(color(rng, (0.55, 0.95), hue=ripe)), np.array(color(rng, (0.5, 0.9), 0.95, ripe))
     mix = (0.5 + 0.35 * grain(rng, width, height, (60, 60)) + 0.12 * grain(rng, width, height, (5, 9))).clip(0, 1)
     sheet = (low * (1 - mix[..., None]) + high * mix[..., None]).astype(np.uint8)
     for _ in range(int(rng.integers(120, 260))):
