@@ -17,4 +17,4 @@ def paper_medians(settings: Mapping[str, Any]) -> tuple[float, float] | None:
     """Table I's medians (deg, cm) for a cell that sweeps views and rotation range as the paper does, else None."""
     views, limit = settings.get("pipeline.views"), settings.get("dataset.rotation_deg")
     table = SINGLE_VIEW if views == 1 else MULTI_VIEW if views == "all" else {}
-    return table.get(limit) if isinstance(limit, int | float) else None
+    return next((medians for key, medians in table.items() if key == limit), None)

@@ -10,13 +10,14 @@ import matplotlib
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
 
 from toolkit.results import CellSummary, Row, errors
 from toolkit.stats import wilson_interval
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800", "#888888")
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.hashsalt": "toolkit",
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -61,7 +62,7 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
                 axes.step(x, np.concatenate([[0], share[seen], [last]]), color=color, where="post", lw=2, label=cell)
             axes.axvline(threshold, color="#8a8f98", lw=1, ls=":")
             axes.set(xscale="log", xlim=(low, high), ylim=(0, 1.02), xlabel=label)
-            axes.yaxis.set_major_formatter(matplotlib.ticker.PercentFormatter(1))
+            axes.yaxis.set_major_formatter(PercentFormatter(1))
             if place == 1:
                 axes.set_ylabel("objects within")
 
@@ -85,7 +86,7 @@ def success_by(rows: Sequence[Row], colors: dict[str, str], key: Callable[[Row],
                 axes.plot(place + offset, np.mean(outcomes), "o", color=color, ms=5)
         axes.set_xticks(range(len(groups)), [str(group) for group in groups])
         axes.set(ylim=(-0.02, 1.02), xlabel=label, ylabel="objects right")
-        axes.yaxis.set_major_formatter(matplotlib.ticker.PercentFormatter(1))
+        axes.yaxis.set_major_formatter(PercentFormatter(1))
 
     return _svg(draw, (5, 3.6))
 

@@ -1,0 +1,47 @@
+"""Downloads that resume, and that leave no half file under the final name."""
+
+from __future__ import annotations
+
+import urllib.request
+from pathlib import Path
+
+from rich.console import Console
+
+from toolkit.progress import Progress
+
+_CHUNK = 1 << 18
+_TIMEOUT_S = 20
+
+
+def source_url(source: str) -> str:
+    """`hf://owner/repo/file` as the URL it stands for; https:// addresses as they are."""
+    if source.startswith("hf://"):
+        owner, repo, file = source.removeprefix("hf://").split("/", 2)
+        return f"https://huggingface.co/{owner}/{repo}/resolve/main/{file}"
+    return source
+
+
+def download(source: str, target: Path) -> None:
+    """Fetch a source into `target`, going on where an earlier attempt stopped.
+
+    Raises:
+        OSError: the source does not answer, or the file cannot be written.
+    """
+    partial = target.with_suffix(target.suffix + ".part")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    have = partial.stat().st_size if partial.is_file() else 0
+    request = urllib.request.Request(source_url(source), headers={"Range": f"bytes={have}-"} if have else {})
+    with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
+        resumed = answer.status == 206
+        expected = int(answer.headers.get("Content-Length", 0)) + (have if resumed else 0)
+        with (
+            partial.open("ab" if resumed else "wb") as file,
+            Progress(Console(stderr=True)).step(f"Downloading {target.name}", expected) as advance,
+        ):
+            advance(file.tell())
+            while chunk := answer.read(_CHUNK):
+                file.write(chunk)
+                advance(len(chunk))
+    if expected and partial.stat().st_size != expected:
+        raise OSError(f"{source}: the connection ended after {partial.stat().st_size} of {expected} bytes")
+    partial.replace(target)
