@@ -19,9 +19,9 @@ class SiftConfig(PluginConfig):
     crop_size: int = Field(320, ge=32, description="Side of the crops, pixels.")
     ratio: float = Field(0.85, gt=0, le=1, description="Nearest over second-nearest distance, at most.")
     max_features: int = Field(1000, ge=8, description="Keypoints kept a crop, strongest first.")
-    contrast: float = Field(0.01, ge=0, description="SIFT's contrast threshold; low, since objects are small.")
+    contrast: float = Field(0.004, ge=0, description="SIFT's contrast threshold; low, since objects are small.")
     border_px: int = Field(
-        5, ge=0, description="Keypoints nearer to the silhouette are dropped: it moves with the view."
+        2, ge=0, description="Keypoints nearer to the silhouette are dropped: it moves with the view."
     )
 
 
@@ -49,7 +49,9 @@ class SiftMatcher(Plugin):
     def extract(self, crops: Sequence[Crop]) -> list[SiftFeatures]:
         """Detect and describe keypoints inside every crop's mask."""
         c = self.config
-        sift = cv2.SIFT.create(nfeatures=c.max_features, contrastThreshold=c.contrast, edgeThreshold=20)
+        sift = cv2.SIFT.create(
+            nfeatures=c.max_features, contrastThreshold=c.contrast, edgeThreshold=20
+        )
         return [root_sift(sift, crop, c.border_px) for crop in crops]
 
     def match(self, query: SiftFeatures, references: Sequence[SiftFeatures]) -> list[Matches]:

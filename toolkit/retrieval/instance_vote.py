@@ -20,7 +20,9 @@ class InstanceVoteConfig(PluginConfig):
     """Settings of `instance_vote`."""
 
     top_k: int = Field(5, ge=1, description="Top-ranked regions that vote for their instance.")
-    max_instances: int = Field(1, ge=1, description="Most-voted instances whose regions become candidates; paper: 1.")
+    max_instances: int = Field(
+        2, ge=1, description="Most-voted instances whose regions become candidates; the paper takes 1."
+    )
     max_candidates: int = Field(64, ge=1, description="Candidates tried at most.")
     distance: Literal["geodesic", "paper"] = Field("geodesic", description="Angle between observation vectors.")
     prune_deg: float = Field(
