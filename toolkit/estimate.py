@@ -49,10 +49,11 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
             estimates = _estimate(capture, runner, out / capture.name)
             if capture.truth is not None and capture.goal.true_masks is not None:
                 rows += score(capture, estimates, cell=cell.name, scene_id=scene_id, weights=runner.weights)
+                with writable(f"'{out}'"):
+                    write_rows(out / ROWS, rows)
             advance(1)
     if rows:
         with writable(f"'{out}'"):
-            write_rows(out / ROWS, rows)
             write_summary(out / "summary.csv", summarize(rows))
     return rows
 

@@ -26,6 +26,7 @@ def score(
     estimates: Sequence[PoseEstimate],
     *,
     cell: str = "",
+    dataset: str = "",
     settings: Mapping[str, Any] | None = None,
     scene_id: int = 0,
     weights: Mapping[str, str] | None = None,
@@ -44,6 +45,7 @@ def score(
         rows.append(
             Row(
                 cell=cell,
+                dataset=dataset,
                 settings=dict(settings or {}),
                 scene_id=scene_id,
                 scene=capture.name,
@@ -164,8 +166,7 @@ def write_case(folder: Path, capture: Capture, database: Database, estimates: Se
     picture = overlay_picture(capture, database, [e for e in estimates if e is estimate])
     matches = None if estimate is None else matches_picture(capture, database, estimate)
     if matches is not None:
-        beside = np.zeros((picture.shape[0], matches.shape[1] - picture.shape[1], 3), np.uint8)
-        picture = np.vstack([np.hstack([picture, beside]), matches])
+        picture = np.hstack([picture, matches])
     name = f"{row.scene_id:06d}_{row.object:06d}"
     _write_png(folder / f"{name}.png", picture)
     if row.rotation_error_deg_sym is None:

@@ -83,6 +83,7 @@ class CellRunner:
             capture,
             estimates,
             cell=self.cell.name,
+            dataset=digest(self.cell.dataset)[:16],
             settings=self.cell.settings,
             scene_id=scene_id,
             weights=self.weights,

@@ -24,6 +24,9 @@ from toolkit.types import Correspondences, Failure, Float, PnPSolution
 
 K = np.array([[616.0, 0.0, 320.0], [0.0, 616.0, 240.0], [0.0, 0.0, 1.0]])
 OBJECT_M, DISTANCE_M, NOISE_PX = 0.10, 0.8, 0.5
+REPROJECTION_PX = 3.0
+"""Far above the noise, so that all solvers see the same inliers and their poses can be compared."""
+
 OUTLIER_RATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 SUCCESS_DEG, SUCCESS_MM = 5.0, 20.0
 
@@ -123,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--planar", action="store_true", help="points on one face of the object")
     options = parser.parse_args(arguments)
 
-    solvers = {name: PNP.create(name) for name in PNP.names()}
+    solvers = {name: PNP.create(name, {"reprojection_px": REPROJECTION_PX}) for name in PNP.names()}
     rates = [OUTLIER_RATES[k % len(OUTLIER_RATES)] for k in range(options.problems)]
     problems: list[Problem] = []
     for k, rate in enumerate(rates):

@@ -49,9 +49,7 @@ class SiftMatcher(Plugin):
     def extract(self, crops: Sequence[Crop]) -> list[SiftFeatures]:
         """Detect and describe keypoints inside every crop's mask."""
         c = self.config
-        sift = cv2.SIFT.create(
-            nfeatures=c.max_features, contrastThreshold=c.contrast, edgeThreshold=20
-        )
+        sift = cv2.SIFT.create(nfeatures=c.max_features, contrastThreshold=c.contrast, edgeThreshold=20)
         return [root_sift(sift, crop, c.border_px) for crop in crops]
 
     def match(self, query: SiftFeatures, references: Sequence[SiftFeatures]) -> list[Matches]:

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 
 from toolkit.geometry import make_transform
-from toolkit.pnp.base import RobustPnP
+from toolkit.pnp.base import RobustPnP, reprojection_inliers
 from toolkit.types import Correspondences, Float
 
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 """OpenCV's own, 20 steps, leave an EPnP start 1e-3 deg short on planar points."""
+
+_REFITS = 10
 
 
 class _OpenCV(RobustPnP):
@@ -34,10 +36,23 @@ class _OpenCV(RobustPnP):
             if len(inliers) < 4:
                 return None
             points, pixels = problem.points[inliers], problem.pixels[inliers]
-            return _best_refined(points, pixels, K, [start, *_solutions(points, pixels, K, self.flag)])
+            pose = _best_refined(points, pixels, K, [start, *_solutions(points, pixels, K, self.flag)])
+            return self._settled(problem, pose)
         except cv2.error:
             # OpenCV raises on degenerate samples; for the caller that is a failed solve.
             return None
+
+    def _settled(self, problem: Correspondences, pose: Float) -> Float:
+        """Refit to the pose's own inliers until they no longer change: USAC's belong to an earlier pose."""
+        previous = np.zeros(len(problem), bool)
+        for _ in range(_REFITS):
+            inliers, _ = reprojection_inliers(problem, pose, self.config.reprojection_px)
+            if inliers.sum() < 4 or np.array_equal(inliers, previous):
+                break
+            start = (cv2.Rodrigues(np.array(pose[:3, :3]))[0], np.array(pose[:3, 3:]))
+            pose = _best_refined(problem.points[inliers], problem.pixels[inliers], problem.K.copy(), [start])
+            previous = inliers
+        return pose
 
 
 def _solutions(points: Float, pixels: Float, K: Float, flag: int) -> list[Any]:
@@ -45,9 +60,9 @@ def _solutions(points: Float, pixels: Float, K: Float, flag: int) -> list[Any]:
     return [(rvec, tvec)] if found else []
 
 
-def _best_refined(points: Float, pixels: Float, K: Float, starts: list[Any]) -> Float | None:
+def _best_refined(points: Float, pixels: Float, K: Float, starts: list[Any]) -> Float:
     """Polish every (rvec, tvec) and keep the smallest error: on planar points EPnP may start in the wrong valley."""
-    best, best_error = None, np.inf
+    best, best_error = np.full((4, 4), np.nan), np.inf
     for rvec, tvec in starts:
         rvec, tvec = cv2.solvePnPRefineLM(points, pixels, K, None, np.array(rvec), np.array(tvec), _CRITERIA)
         error = float(np.linalg.norm(cv2.projectPoints(points, rvec, tvec, K, None)[0].reshape(-1, 2) - pixels))

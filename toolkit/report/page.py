@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,9 +28,10 @@ _JPEG_QUALITY = 82
 
 @dataclass(frozen=True)
 class _Comparison:
-    """A cell against the best one, object by object."""
+    """A cell against the best one on the same scenes, object by object."""
 
     cell: str
+    best: str
     difference: float
     low: float
     high: float
@@ -67,13 +69,14 @@ def write_report(run: Path) -> Path:
         by_count=success_by(rows, colors, lambda row: sizes[row.cell, row.scene_id], "objects in the scene"),
         by_symmetry=success_by(rows, colors, lambda row: row.symmetry, "symmetry of the object"),
         times=time_by_stage(summaries),
-        comparisons=_compare(rows, summaries, best),
+        comparisons=_compare(rows),
         hardest=_hardest(rows, best.cell),
         failures=_failures(rows),
         cases=_cases(run),
         settings=_read(run / "experiment.resolved.yaml"),
         meta=json.loads(_read(run / "meta.json") or "{}"),
         show=_show,
+        number=_number,
         share=_show_share,
     )
     path = run / "report.html"
@@ -109,24 +112,25 @@ def _headline(summaries: Sequence[CellSummary], best: CellSummary) -> str:
     return f"{said}; {worst.cell}, the least, {worst.success_sym.value:.0%}."
 
 
-def _compare(rows: Sequence[Row], summaries: Sequence[CellSummary], best: CellSummary) -> list[_Comparison]:
-    """Every other cell against the best one, on the objects both have; p-values adjusted for their number."""
-    outcomes = {s.cell: {(r.scene_id, r.object): r.success_sym for r in rows if r.cell == s.cell} for s in summaries}
-    reference = outcomes.pop(best.cell)
-    found: list[tuple[str, float, tuple[float, float], float]] = []
-    for cell, own in outcomes.items():
-        keys = sorted(own.keys() & reference.keys())
-        a, b = [own[key] for key in keys], [reference[key] for key in keys]
-        if keys:
-            difference, interval = paired_difference(
-                [float(x) for x in a], [float(x) for x in b], [scene for scene, _ in keys]
-            )
-            found.append((cell, difference, interval, mcnemar(a, b)))
-    adjusted = holm([p for *_, p in found])
-    return [
-        _Comparison(cell, difference, low, high, p, _verdict(difference, low, high))
-        for (cell, difference, (low, high), _), p in zip(found, adjusted, strict=True)
-    ]
+def _compare(rows: Sequence[Row]) -> list[_Comparison]:
+    """Every cell against the best one on the same dataset; p-values adjusted for the number of comparisons."""
+    outcomes: dict[str, dict[str, dict[tuple[int, int], bool]]] = {}
+    for row in rows:
+        outcomes.setdefault(row.dataset, {}).setdefault(row.cell, {})[row.scene_id, row.object] = row.success_sym
+    pairs: list[tuple[str, str, list[bool], list[bool], list[int]]] = []
+    for cells in outcomes.values():
+        best = max(cells, key=lambda cell: float(np.mean(list(cells[cell].values()))))
+        for cell, own in cells.items():
+            keys = sorted(own.keys() & cells[best].keys())
+            if cell != best and keys:
+                of_best = [cells[best][key] for key in keys]
+                pairs.append((cell, best, [own[key] for key in keys], of_best, [scene for scene, _ in keys]))
+    adjusted = holm([mcnemar(own, of_best) for _, _, own, of_best, _ in pairs])
+    comparisons: list[_Comparison] = []
+    for (cell, best, own, of_best, scenes), p in zip(pairs, adjusted, strict=True):
+        difference, (low, high) = paired_difference([float(x) for x in own], [float(x) for x in of_best], scenes)
+        comparisons.append(_Comparison(cell, best, difference, low, high, p, _verdict(difference, low, high)))
+    return comparisons
 
 
 def _verdict(difference: float, low: float, high: float) -> str:
@@ -160,8 +164,7 @@ def _failures(rows: Sequence[Row]) -> list[tuple[str, str, str, int]]:
     for row in rows:
         if row.success_sym:
             continue
-        reason = row.reason or "pose outside 5° / 2 cm"
-        general = "".join("#" if c.isdigit() else c for c in reason).replace("##", "#").replace("##", "#")
+        general = re.sub(r"\d+", "N", row.reason) if row.reason else "the pose is off by more than 5° or 2 cm"
         counts[row.cell, row.stage or "pose", general] += 1
     return [(*key, count) for key, count in counts.most_common(16)]
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import os
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolkit.data.objects import ObjectAsset
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
+from toolkit.sim.bullet import pybullet, silence
 from toolkit.types import Camera, Float, Image
 
 Renderer = Literal["tiny", "egl"]
@@ -59,7 +58,7 @@ class World:
         self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
         self._textures: dict[Path, int] = {}
         if renderer == "egl":
-            with _silence():
+            with silence():
                 loaded = _load_egl(self.client)
             if not loaded:
                 self.close()
@@ -76,7 +75,7 @@ class World:
 
     def close(self) -> None:
         """Disconnect the client."""
-        with _silence():
+        with silence():
             pybullet.disconnect(self.client)
 
     def add_visual(self, mesh: Path, texture: Path, T_world_object: Float) -> int:
@@ -120,7 +119,7 @@ class World:
             (-1 where nothing is).
         """
         width, height = camera.width * supersample, camera.height * supersample
-        with _silence() if self._renderer != pybullet.ER_TINY_RENDERER else contextlib.nullcontext():
+        with silence() if self._renderer != pybullet.ER_TINY_RENDERER else contextlib.nullcontext():
             _, _, rgba, zbuffer, ids = pybullet.getCameraImage(
                 width,
                 height,
@@ -186,7 +185,7 @@ def _gl_projection(camera: Camera, sample_offset: Float) -> list[float]:
 
 def egl_loads() -> bool:
     """Say whether PyBullet's EGL plug-in loads on this machine."""
-    with _silence():
+    with silence():
         client = pybullet.connect(pybullet.DIRECT)
         loaded = _load_egl(client)
         pybullet.disconnect(client)
@@ -198,19 +197,3 @@ def _load_egl(client: int) -> bool:
     if spec is None or spec.origin is None:
         return False
     return pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
-
-
-@contextlib.contextmanager
-def _silence() -> Generator[None]:
-    """Keep PyBullet's C code from printing: it writes to the process's descriptors, not to sys.stdout."""
-    kept = [os.dup(descriptor) for descriptor in (1, 2)]
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for descriptor in (1, 2):
-            os.dup2(null, descriptor)
-        yield
-    finally:
-        for descriptor, saved in zip((1, 2), kept, strict=True):
-            os.dup2(saved, descriptor)
-            os.close(saved)
-        os.close(null)
