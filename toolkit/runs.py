@@ -62,10 +62,15 @@ def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path
 
 
 def finished(run: Path) -> set[tuple[str, int]]:
-    """(cell, scene) pairs that already have their rows. A torn last line, as a kill leaves it, is cut off."""
+    """(cell, scene) pairs that already have all their rows.
+
+    The last pair in the file may lack rows when the run was killed while they were written, so it is cut off and done
+    again, as is a torn last line.
+    """
     rows = read_rows(run / ROWS) if (run / ROWS).exists() else []
-    write_rows(run / ROWS, rows)
-    return {(row.cell, row.scene_id) for row in rows}
+    whole = [row for row in rows if (row.cell, row.scene_id) != (rows[-1].cell, rows[-1].scene_id)]
+    write_rows(run / ROWS, whole)
+    return {(row.cell, row.scene_id) for row in whole}
 
 
 def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]) -> None:
