@@ -140,9 +140,10 @@ def test_rows_cut_anywhere_resume_to_the_same_rows(experiment, tmp_path):
         assert lines(run) == expected
 
 
-def test_ctrl_c_keeps_the_finished_rows(experiment, tmp_path):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_the_finished_rows(experiment, tmp_path, workers):
     run = tmp_path / "run"
-    process = command("ablate", experiment, "--out", run, "--no-cache", "--workers", 1)
+    process = command("ablate", experiment, "--out", run, "--no-cache", "--workers", workers)
     while process.poll() is None and not _has_bytes(run / "rows.jsonl", 0):
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGINT)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -301,13 +302,22 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+class _Stopped(BaseException):
+    """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
+
+
+def _stop(*_: object) -> None:
+    raise _Stopped
+
+
 def main() -> None:
     """Entry point: a user's mistake is answered in one or two lines and exit code 2, never with a traceback."""
+    signal.signal(signal.SIGINT, _stop)
     try:
         app()
     except ToolkitError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
-    except KeyboardInterrupt:
+    except _Stopped:
         sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
         sys.exit(130)
