@@ -27,7 +27,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def dataset(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes of three procedural objects, four views."""
-    config = TabletopConfig(scenes=2, min_objects=3, max_objects=3, views=4, seed=5)
+    config = TabletopConfig(scenes=2, min_objects=3, max_objects=3, views=4, seed=5, renderer="tiny")
     return build_dataset(config, tmp_path_factory.mktemp("data") / "tabletop", cache)
 
 

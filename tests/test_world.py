@@ -8,7 +8,8 @@ import pybullet
 import pytest
 
 from toolkit.geometry import invert, lift, look_at, project
-from toolkit.sim.world import Light, World, egl_loads
+from toolkit.sim.bullet import best_renderer
+from toolkit.sim.world import Light, World
 from toolkit.types import Camera
 
 HALF = np.array([0.10, 0.07, 0.03])
@@ -16,7 +17,7 @@ RENDERERS = [
     ("tiny", 1),
     ("tiny", 2),
     ("tiny", 3),
-    pytest.param("egl", 1, marks=pytest.mark.skipif(not egl_loads(), reason="EGL does not load here")),
+    pytest.param("egl", 1, marks=pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")),
 ]
 
 

@@ -11,7 +11,7 @@ from toolkit import __version__
 from toolkit.cache import library_versions
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
-from toolkit.sim.world import egl_loads
+from toolkit.sim.bullet import best_renderer
 from toolkit.stages import REGISTRIES
 
 
@@ -21,7 +21,8 @@ def diagnose() -> Iterator[str]:
     yield f"cores: {len(os.sched_getaffinity(0))}"
     yield "libraries: " + ", ".join(f"{name} {number}" for name, number in library_versions().items())
     yield f"accelerator: {_accelerator()}"
-    yield f"renderer: TinyRenderer always; PyBullet's EGL plug-in {'loads' if egl_loads() else 'does not load'} here"
+    egl = "loads here" if best_renderer() == "egl" else "does not load here"
+    yield f"renderer: TinyRenderer always; PyBullet's EGL plug-in {egl}"
     yield f"cache: {cache_root()} ({_cache_state()})"
     for registry in REGISTRIES.values():
         for entry in registry.entries():

@@ -20,6 +20,7 @@ from toolkit.data.table import table_files
 from toolkit.errors import ToolkitError
 from toolkit.geometry import look_at, make_transform
 from toolkit.registry import PluginConfig
+from toolkit.sim.bullet import Renderer, best_renderer
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera, Float, Frame, Mask, TrueObject
 
@@ -62,7 +63,10 @@ class TabletopConfig(PluginConfig):
         "upright", description="Natural resting pose; or another stable one in the goal than now (6-DoF motions)."
     )
     clearance_m: float = Field(0.01, ge=0, description="Least gap between objects.")
-    renderer: Literal["tiny", "egl"] = Field("tiny", description="TinyRenderer, or PyBullet's EGL plug-in.")
+    renderer: Renderer = Field(
+        default_factory=best_renderer,
+        description="PyBullet's EGL plug-in where it loads, else TinyRenderer.",
+    )
     supersample: int = Field(2, ge=1, le=4, description="TinyRenderer: rendered pixels per pixel and axis.")
 
     @property

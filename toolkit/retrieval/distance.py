@@ -23,7 +23,7 @@ def paper_distance(observations: Float, reference: Float) -> Float:
 
     def angles(vectors: Float) -> Float:
         x, y, z = vectors[..., 0], vectors[..., 1], np.clip(vectors[..., 2], -1, 1)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             azimuth = np.arctan(y / x)
         # On the vertical axis 0 / 0: the azimuth is undefined there, and any fixed value will do.
         return np.stack([np.nan_to_num(azimuth), np.arccos(z)], axis=-1)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,8 @@ from scipy.spatial.transform import Rotation
 from toolkit.data.objects import ObjectAsset
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
-from toolkit.sim.bullet import pybullet, silence
+from toolkit.sim.bullet import Renderer, load_egl, pybullet, silence
 from toolkit.types import Camera, Float, Image
-
-Renderer = Literal["tiny", "egl"]
 
 _NEAR_M, _FAR_M = 0.2, 4.0
 """Tight enough that the 24-bit z-buffer resolves less than 0.01 mm at a metre."""
@@ -59,7 +56,7 @@ class World:
         self._textures: dict[Path, int] = {}
         if renderer == "egl":
             with silence():
-                loaded = _load_egl(self.client)
+                loaded = load_egl(self.client)
             if not loaded:
                 self.close()
                 raise ToolkitError("PyBullet's EGL renderer does not load here; set dataset.renderer to tiny")
@@ -181,19 +178,3 @@ def _gl_projection(camera: Camera, sample_offset: Float) -> list[float]:
     P[2, 3] = -2 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
     P[3, 2] = -1
     return P.T.ravel().tolist()
-
-
-def egl_loads() -> bool:
-    """Say whether PyBullet's EGL plug-in loads on this machine."""
-    with silence():
-        client = pybullet.connect(pybullet.DIRECT)
-        loaded = _load_egl(client)
-        pybullet.disconnect(client)
-    return loaded
-
-
-def _load_egl(client: int) -> bool:
-    spec: Any = importlib.util.find_spec("eglRenderer")
-    if spec is None or spec.origin is None:
-        return False
-    return pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
