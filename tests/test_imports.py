@@ -30,7 +30,6 @@ LAYERS = [
 """A module may import from its own layer and those before it."""
 
 ALLOWED_EXCEPTIONS = {
-    ("sim", "data"): "a world places object assets",
     ("results", "report"): "the table shows the paper's figures",
 }
 

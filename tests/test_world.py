@@ -7,17 +7,18 @@ import numpy as np
 import pybullet
 import pytest
 
-from toolkit.geometry import invert, lift, look_at, project
+from toolkit.geometry import invert, lift, look_at, make_transform, project
 from toolkit.sim.bullet import best_renderer
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera
 
 HALF = np.array([0.10, 0.07, 0.03])
+NO_EGL = pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")
 RENDERERS = [
     ("tiny", 1),
     ("tiny", 2),
     ("tiny", 3),
-    pytest.param("egl", 1, marks=pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")),
+    pytest.param("egl", 1, marks=NO_EGL),
 ]
 
 
@@ -60,3 +61,36 @@ def test_depth_lifts_to_the_surface(renderer, supersample):
 def test_worlds_do_not_share_a_client():
     with World() as a, World() as b:
         assert a.client != b.client
+
+
+@pytest.mark.parametrize(("renderer", "supersample"), RENDERERS)
+def test_every_mesh_wears_its_own_texture(renderer, supersample, tmp_path):
+    """Quads of one colour each, whose own materials name the image, as scans' do."""
+    camera = Camera(
+        np.array([[500.0, 0, 159.5], [0, 500, 119.5], [0, 0, 1]]),
+        look_at(np.array([0, -0.1, 1.0]), np.zeros(3)),
+        320,
+        240,
+    )
+    colors = np.array([[200, 30, 30], [30, 200, 30], [30, 30, 200], [200, 200, 30]])
+    visuals = [_quad(tmp_path / str(i), color) for i, color in enumerate(colors)]
+    with World(renderer) as world:
+        bodies = world.add_visuals(visuals)
+        world.move_all(
+            bodies, [make_transform(np.eye(3), np.array([0.12 * i - 0.18, 0, 0])) for i in range(len(colors))]
+        )
+        rgb, _, ids = world.render(camera, Light(), supersample)
+    for body, color in zip(bodies, colors, strict=True):
+        seen = np.median(rgb[ids == body], axis=0)
+        assert np.corrcoef(seen, color)[0, 1] > 0.99
+
+
+def _quad(folder, color):
+    folder.mkdir()
+    cv2.imwrite(str(folder / "texture.png"), np.full((64, 64, 3), color[::-1], np.uint8))
+    (folder / "textured.mtl").write_text("newmtl material_0\nKa 1 1 1\nKd 1 1 1\nmap_Kd texture.png\n")
+    corners = [(-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (-0.05, 0.05)]
+    lines = ["mtllib textured.mtl", "usemtl material_0", *(f"v {x} {y} 0" for x, y in corners)]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "vn 0 0 1", "f 1/1/1 2/2/1 3/3/1", "f 1/1/1 3/3/1 4/4/1"]
+    (folder / "textured.obj").write_text("\n".join(lines) + "\n")
+    return folder / "textured.obj", folder / "texture.png"

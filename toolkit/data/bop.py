@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,19 +70,30 @@ def load_models(path: Path) -> dict[int, ObjectModel]:
     return models
 
 
-def write_capture(folder: Path, current: list[Frame], goal: Frame, truth: Mapping[int, TrueObject]) -> None:
-    """Write a capture folder that `load_capture` reads back: same poses to the last bit, depth to 0.05 mm."""
+def write_capture(
+    folder: Path, current: Sequence[Frame], goal: Frame, truth: Mapping[int, TrueObject] | None = None
+) -> None:
+    """Write a capture folder that `load_capture` reads back: same poses to the last bit, depth to 0.05 mm.
+
+    Args:
+        folder: made when absent.
+        current: RGB-D frames of the current scene.
+        goal: the goal image.
+        truth: true objects by instance id; without it no masks, poses and models are written.
+    """
     for name, frames in (("current", current), ("goal", [goal])):
         scene = folder / name
-        for sub in ("rgb", "depth", "mask_visib"):
+        for sub in ("rgb", "depth") if truth is None else ("rgb", "depth", "mask_visib"):
             (scene / sub).mkdir(parents=True, exist_ok=True)
         write_json(scene / "scene_camera.json", {str(f.index): _camera_json(f.camera) for f in frames})
-        poses = {i: o.T_world_current if name == "current" else o.T_world_goal for i, o in truth.items()}
-        write_json(scene / "scene_gt.json", {str(f.index): _poses_json(f, poses, truth) for f in frames})
         for frame in frames:
-            _write_frame(scene, frame, list(truth))
-    models = {str(o.model.object_id): _model_json(o.model) for o in truth.values()}
-    write_json(folder / "models_info.json", models)
+            _write_frame(scene, frame, list(truth or {}))
+        if truth is not None:
+            poses = {i: o.T_world_current if name == "current" else o.T_world_goal for i, o in truth.items()}
+            write_json(scene / "scene_gt.json", {str(f.index): _poses_json(f, poses, truth) for f in frames})
+    if truth is not None:
+        models = {str(o.model.object_id): _model_json(o.model) for o in truth.values()}
+        write_json(folder / "models_info.json", models)
 
 
 def _load_frames(scene: Path, *, needs_depth: bool) -> list[Frame]:

@@ -99,8 +99,8 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
     lights = _lights(config, noise_rng)
     supersample = config.supersample if config.renderer == "tiny" else 1
     with World(config.renderer) as world:
-        world.add_visual(*table_files(config.table, cache), np.eye(4))
-        bodies = [world.add_asset(asset, np.eye(4)) for asset in scene.assets]
+        visuals = [(asset.mesh, asset.texture) for asset in scene.assets]
+        _, *bodies = world.add_visuals([table_files(config.table, cache), *visuals])
 
         def shoot(index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
             seen = _jitter(camera, noise_rng) if "pose" in config.effects else camera

@@ -17,7 +17,7 @@ class SiftConfig(PluginConfig):
     """Settings of `sift`."""
 
     crop_size: int = Field(320, ge=32, description="Side of the crops, pixels.")
-    ratio: float = Field(0.85, gt=0, le=1, description="Nearest over second-nearest distance, at most.")
+    ratio: float = Field(0.9, gt=0, le=1, description="Nearest over second-nearest distance, at most.")
     max_features: int = Field(1000, ge=8, description="Keypoints kept a crop, strongest first.")
     contrast: float = Field(0.004, ge=0, description="SIFT's contrast threshold; low, since objects are small.")
     border_px: int = Field(

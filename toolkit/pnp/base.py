@@ -19,8 +19,8 @@ _COLLINEAR = 1e-3
 class PnPConfig(PluginConfig):
     """Settings every solver understands."""
 
-    reprojection_px: float = Field(1.5, gt=0, le=100, description="largest reprojection error of an inlier, pixels")
-    iterations: int = Field(2000, ge=1, le=1_000_000, description="largest number of minimal samples")
+    reprojection_px: float = Field(1.2, gt=0, le=100, description="largest reprojection error of an inlier, pixels")
+    iterations: int = Field(10000, ge=1, le=1_000_000, description="largest number of minimal samples")
     min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="fewest inliers of an accepted pose")
     confidence: float = Field(0.9999, gt=0, lt=1, description="wanted probability of an outlier-free sample")
 

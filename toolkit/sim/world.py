@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolkit.data.objects import ObjectAsset
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
 from toolkit.sim.bullet import Renderer, load_egl, pybullet, silence
@@ -53,7 +52,6 @@ class World:
         self._renderer = pybullet.ER_TINY_RENDERER
         # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/test_world.py measures it).
         self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
-        self._textures: dict[Path, int] = {}
         if renderer == "egl":
             with silence():
                 loaded = load_egl(self.client)
@@ -75,21 +73,22 @@ class World:
         with silence():
             pybullet.disconnect(self.client)
 
-    def add_visual(self, mesh: Path, texture: Path, T_world_object: Float) -> int:
-        """Place a textured mesh that collides with nothing; returns its body id."""
-        shape = pybullet.createVisualShape(
-            pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0], physicsClientId=self.client
-        )
-        body = pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
-        if texture not in self._textures:
-            self._textures[texture] = pybullet.loadTexture(str(texture), physicsClientId=self.client)
-        pybullet.changeVisualShape(body, -1, textureUniqueId=self._textures[texture], physicsClientId=self.client)
-        self.move(body, T_world_object)
-        return int(body)
+    def add_visuals(self, visuals: Sequence[tuple[Path, Path]]) -> list[int]:
+        """Add meshes (OBJ) with their textures, which collide with nothing, at the origin; returns their body ids.
 
-    def add_asset(self, asset: ObjectAsset, T_world_object: Float) -> int:
-        """Place an object's visual mesh; returns its body id."""
-        return self.add_visual(asset.mesh, asset.texture, T_world_object)
+        To be called once, before anything else is added: with EGL, a mesh whose own material names an image takes a
+        texture number that a later loadTexture does not count, and the textures of all later meshes are mixed up.
+        """
+        textures = [pybullet.loadTexture(str(texture), physicsClientId=self.client) for _, texture in visuals]
+        bodies: list[int] = []
+        for (mesh, _), texture in zip(visuals, textures, strict=True):
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0], physicsClientId=self.client
+            )
+            body = pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
+            pybullet.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self.client)
+            bodies.append(int(body))
+        return bodies
 
     def move(self, body: int, T_world_object: Float) -> None:
         """Put a body at a (4, 4) pose, exactly."""

@@ -1,0 +1,59 @@
+"""The docs' code runs: every block of a tutorial, in order, in an empty folder, as a reader would type it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_every_block_runs(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {}
+    blocks = BLOCK.findall(page.read_text())
+    assert blocks
+    for language, code in blocks:
+        if language == "python":
+            exec(compile(code, str(page), "exec"), scope)
+        else:
+            _shell(code, tmp_path)
+
+
+def _shell(code: str, folder: Path) -> None:
+    """Run with a `toolkit` that is this interpreter's, installed or not."""
+    function = f'toolkit() {{ "{sys.executable}" -c "from toolkit.cli import main; main()" "$@"; }}\n'
+    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    done = subprocess.run(
+        ["bash", "-euc", function + code],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("page", [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], ids=lambda page: page.name)
+def test_links_and_pictures_exist(page):
+    missing = [target for target in LINK.findall(page.read_text()) if not (page.parent / target).exists()]
+    assert not missing
+
+
+def test_the_readme_has_one_picture_and_two_commands():
+    text = (ROOT / "README.md").read_text()
+    assert text.count("![") == 1
+    assert [code.strip() for language, code in BLOCK.findall(text) if language == "sh"][:2] == [
+        "pip install . && toolkit ablate",
+        "pip install '.[test]' && pytest",
+    ]
