@@ -1,7 +1,7 @@
 """Draw the README's picture: what goes in, and where every object is to go.
 
-toolkit dataset build captures --scenes 3 --seed 1 --set min_objects=7 --set max_objects=7
-python experiments/figures/overview.py captures/000002 docs/images/overview.jpg
+toolkit dataset build captures --scenes 1 --seed 1 --set min_objects=7 --set max_objects=7
+python experiments/figures/overview.py captures/000000 docs/images/overview.jpg
 """
 
 from __future__ import annotations
