@@ -105,7 +105,8 @@ def time_by_stage(summaries: Sequence[CellSummary]) -> str:
         axes.set_yticks(range(len(summaries)), [summary.cell for summary in summaries])
         axes.invert_yaxis()
         axes.set_xlabel("median ms an object (database's share included)")
-        axes.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.28 - 0.1 / len(summaries)))
+        if stages:
+            axes.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.28 - 0.1 / len(summaries)))
 
     return _svg(draw, (10, 1.6 + 0.42 * len(summaries)))
 
