@@ -1,0 +1,120 @@
+"""The fused, coloured 3D model of one object instance: what several views together say about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from toolkit.database import Database
+from toolkit.types import Failure, Float, Frame, Image, Mask, Region
+
+_VOXEL_M = 0.002
+_DEPTH_STEP_M = 0.01
+"""Neighbouring pixels further apart in depth than this see two surfaces, and the pixels between mix them."""
+
+_NEIGHBOURS = 6
+_LONELY_M = 0.008
+"""A point whose 6th neighbour is further away than this is an outlier."""
+
+MIN_POINTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """What one frame saw of the object.
+
+    Attributes:
+        rgb: (H, W, 3) uint8, the whole frame.
+        mask: (H, W) bool, the object in it.
+        pixels: (M, 2) int32 (x, y) of its reliable pixels.
+        points: (M, 3) float32 world points of those pixels, metres.
+        observation: (3,) unit vector from the object to the camera (Eq. obs_pose).
+    """
+
+    rgb: Image
+    mask: Mask
+    pixels: np.ndarray
+    points: Float
+    observation: Float
+
+
+@dataclass(frozen=True, eq=False)
+class FusedModel:
+    """An object as all current frames together show it, in the world of the current scene.
+
+    Attributes:
+        points: (N, 3) float32, metres; one a voxel.
+        colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
+        seen_by: (N,) int32, how many frames saw the voxel.
+        patches: one a frame that saw the object.
+    """
+
+    points: Float
+    colors: Float
+    seen_by: np.ndarray
+    patches: tuple[Patch, ...]
+
+    @property
+    def center(self) -> Float:
+        """(3,) float64 middle of the points' axis-aligned box."""
+        return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2, np.float64)
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a point from the centre, metres."""
+        return float(np.linalg.norm(self.points - self.center, axis=1).max())
+
+
+def fuse(database: Database, instance: int) -> FusedModel | Failure:
+    """Join the regions of one instance: depth edges and outliers dropped, duplicates merged on a voxel grid.
+
+    Returns:
+        The model, or a Failure where fewer than MIN_POINTS voxels are left.
+    """
+    patches = tuple(_patch(database.frame_of(row), database.regions[row]) for row in database.instance(instance))
+    points = np.concatenate([patch.points for patch in patches])
+    if len(points) < MIN_POINTS:
+        return Failure("refiner", f"instance {instance} has only {len(points)} reliable points")
+    colors = np.concatenate([patch.rgb[patch.pixels[:, 1], patch.pixels[:, 0]] for patch in patches])
+    views = np.repeat(np.arange(len(patches)), [len(patch.points) for patch in patches])
+    keys = np.floor((points - points.min(axis=0)) / _VOXEL_M).astype(np.int64)
+    flat = (keys * [1, 1 << 20, 1 << 40]).sum(axis=1)
+    _, inverse, counts = np.unique(flat, return_inverse=True, return_counts=True)
+    merged = _means(points, inverse, counts)
+    tints = _means(colors, inverse, counts)
+    pairs = np.unique(inverse * len(patches) + views)
+    seen_by = np.bincount(pairs // len(patches), minlength=len(counts))
+    kept = _not_lonely(merged)
+    if kept.sum() < MIN_POINTS:
+        return Failure("refiner", f"instance {instance} has only {int(kept.sum())} points that are no outliers")
+    return FusedModel(merged[kept], tints[kept], seen_by[kept].astype(np.int32), patches)
+
+
+def _patch(frame: Frame, region: Region) -> Patch:
+    assert frame.depth is not None
+    kernel = np.ones((3, 3), np.uint8)
+    depth = frame.depth
+    step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
+    inner = cv2.erode(region.segment.mask.astype(np.uint8), kernel) > 0
+    good = (inner & (step < _DEPTH_STEP_M) & (depth > 0))[region.pixels[:, 1], region.pixels[:, 0]]
+    if good.sum() < MIN_POINTS:
+        # Thin things have no inside.
+        good = np.ones(len(region.pixels), bool)
+    return Patch(
+        frame.rgb, region.segment.mask, region.pixels[good], region.points[good].astype(np.float32), region.observation
+    )
+
+
+def _means(values: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> Float:
+    sums = np.stack([np.bincount(groups, column, len(counts)) for column in values.T], axis=1)
+    return (sums / counts[:, None]).astype(np.float32)
+
+
+def _not_lonely(points: Float) -> Mask:
+    if len(points) <= _NEIGHBOURS:
+        return np.ones(len(points), bool)
+    distances, _ = cKDTree(points).query(points, _NEIGHBOURS + 1)
+    return np.asarray(distances[:, -1] < _LONELY_M)

@@ -1,0 +1,1 @@
+"""Refiners: from a fused model and starting poses to a refined, verified motion."""

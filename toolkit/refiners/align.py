@@ -1,0 +1,199 @@
+"""Gauss-Newton on poses: locally normalised intensities and silhouette together, all hypotheses in one batch (JAX)."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+_PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
+"""Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
+
+_EDGE_SIGMA_PX = 0.8
+_DAMPING = 1e-3
+_MOST_TURN, _MOST_SHIFT_M = 0.15, 0.02
+"""Largest step of one iteration, radians and metres."""
+
+_SAMPLES_PX = 0.5
+"""The outermost projected point lies about this far inside the true silhouette."""
+
+
+class GoalImage(NamedTuple):
+    """A crop of the goal around one object.
+
+    Attributes:
+        values: (L, S, S, 3) normalised intensities, coarse to fine.
+        outside: (S, S) distance in pixels to the nearest pixel where the object may be.
+        contour: (C, 2) pixels of the object's own outline, in the crop.
+        normals: (C, 2) outward unit normals there.
+        contour_weight: (C,) 0 for padding.
+        K: (3, 3) intrinsics of the crop.
+        R: (3, 3) and
+        t: (3,) world to camera.
+    """
+
+    values: jax.Array
+    outside: jax.Array
+    contour: jax.Array
+    normals: jax.Array
+    contour_weight: jax.Array
+    K: jax.Array
+    R: jax.Array
+    t: jax.Array
+
+
+class Source(NamedTuple):
+    """What a hypothesis is compared with.
+
+    Attributes:
+        points: (M, 3) points of the chosen patches, centred, metres.
+        values: (L, M, 3) their normalised intensities, coarse to fine.
+        weights: (M,) 0 for padding.
+        shape: (N, 3) points of the whole model, centred; padding repeats points.
+    """
+
+    points: jax.Array
+    values: jax.Array
+    weights: jax.Array
+    shape: jax.Array
+
+
+class Aligned(NamedTuple):
+    """Refined poses of centred model points in the goal's world.
+
+    Attributes:
+        R: (3, 3).
+        t: (3,).
+        information: (6, 6) of (turn, shift), inverse covariance in 1/rad^2 and 1/m^2.
+        correlation: -1..1, of the intensities at the finest level.
+    """
+
+    R: jax.Array
+    t: jax.Array
+    information: jax.Array
+    correlation: jax.Array
+
+
+@partial(jax.jit, static_argnums=5)
+def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax.Array, iterations: int) -> Aligned:
+    """Refine (B, 3, 3), (B, 3) poses, each with its own Source (leading axis B).
+
+    Args:
+        R: rotations.
+        t: places of the model's centre, metres.
+        source: batched.
+        goal: shared.
+        free: (6,) 1 for each of (turn xyz, shift xyz) that may change, else 0.
+        iterations: per level.
+    """
+    return jax.vmap(lambda R, t, source: _align(R, t, source, goal, free, iterations))(R, t, source)
+
+
+def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax.Array, iterations: int) -> Aligned:
+    levels = goal.values.shape[0]
+    for level in range(levels):
+
+        def step(_: int, state: tuple[jax.Array, jax.Array], level: int = level) -> tuple[jax.Array, jax.Array]:
+            R, t = state
+            H, g = _normal_equations(R, t, source, goal, level, free)
+            damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free))
+            delta = -jnp.linalg.solve(damped, g)
+            turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
+            return _exp(turn) @ R, t + shift
+
+        R, t = jax.lax.fori_loop(0, iterations, step, (R, t))
+    information, _ = _normal_equations(R, t, source, goal, levels - 1, free)
+    return Aligned(R, t, information, _correlation(R, t, source, goal))
+
+
+def _normal_equations(
+    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    turned = source.points @ R.T
+    uv, duv = _project(turned + t, goal)
+    value, gradient, inside = _sample(goal.values[level], uv)
+    residual = value - source.values[level]
+    J = jnp.einsum("mcu,muk->mck", gradient, duv @ _motion(turned)) * free
+    robust = 1 / (1 + (residual**2).sum(axis=1) / (3 * _PHOTO_SIGMA) ** 2) ** 2
+    weight = robust * inside * source.weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
+    H = jnp.einsum("m,mck,mcl->kl", weight, J, J)
+    g = jnp.einsum("m,mck,mc->k", weight, J, residual)
+
+    turned = source.shape @ R.T
+    uv, duv = _project(turned + t, goal)
+    motion = _motion(turned)
+    # No point of the model may lie where the object is not.
+    distance, slope, near = _sample(goal.outside[..., None], uv)
+    J = jnp.einsum("mcu,muk->mck", slope, duv @ motion)[:, 0] * free
+    out = jnp.maximum(distance[:, 0] - _SAMPLES_PX, 0) * near
+    count = source.shape.shape[0]
+    # Each contour pixel stands for as many points as the model has a contour pixel.
+    weight = (goal.contour_weight.sum() / count) / (1 + (out / 4) ** 2) ** 2 / _EDGE_SIGMA_PX**2 * (out > 0)
+    H += jnp.einsum("m,mk,ml->kl", weight, J, J)
+    g += jnp.einsum("m,mk,m->k", weight, J, out)
+    # Every pixel of the outline has a point of the model close to it.
+    gaps = goal.contour[:, None] - uv[None]
+    nearest = jnp.argmin((gaps**2).sum(axis=2), axis=1)
+    gap = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
+    J = -jnp.einsum("cu,cuk->ck", goal.normals, (duv @ motion)[nearest]) * free
+    weight = goal.contour_weight / (1 + (gap / 4) ** 2) ** 2 / _EDGE_SIGMA_PX**2
+    H += jnp.einsum("m,mk,ml->kl", weight, J, J)
+    g += jnp.einsum("m,mk,m->k", weight, J, gap)
+    return H, g
+
+
+def _correlation(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.Array:
+    uv, _ = _project(source.points @ R.T + t, goal)
+    value, _, inside = _sample(goal.values[-1], uv)
+    weight = (inside * source.weights)[:, None]
+    a, b = value * weight, source.values[-1] * weight
+    # Points that fall off the object count as disagreeing.
+    return (a * b).sum() / jnp.sqrt(((a**2).sum() + 1) * (((source.values[-1] ** 2).sum(1) * source.weights).sum() + 1))
+
+
+def _project(world: jax.Array, goal: GoalImage) -> tuple[jax.Array, jax.Array]:
+    """(M, 2) pixels of (M, 3) world points, and their (M, 2, 3) derivatives."""
+    camera = world @ goal.R.T + goal.t
+    z = jnp.maximum(camera[:, 2], 1e-2)
+    focal = jnp.array([goal.K[0, 0], goal.K[1, 1]])
+    flat = camera[:, :2] / z[:, None]
+    across = jnp.broadcast_to(jnp.diag(focal), (len(world), 2, 2))
+    derivative = jnp.concatenate([across, -(flat * focal)[..., None]], axis=2) / z[:, None, None]
+    return flat * focal + goal.K[:2, 2], derivative @ goal.R
+
+
+def _motion(turned: jax.Array) -> jax.Array:
+    """(M, 3, 6) derivative of moved points by (turn, shift)."""
+    x, y, z = turned.T
+    zero = jnp.zeros_like(x)
+    turn = jnp.stack([jnp.stack([zero, z, -y], 1), jnp.stack([-z, zero, x], 1), jnp.stack([y, -x, zero], 1)], axis=1)
+    return jnp.concatenate([turn, jnp.broadcast_to(jnp.eye(3), turn.shape)], axis=2)
+
+
+def _sample(image: jax.Array, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Bilinear (M, C) values and (M, C, 2) gradients of an (S, S, C) image, and (M,) 1 where inside."""
+    size = image.shape[0]
+    inside = ((uv >= 0) & (uv < size - 1.001)).all(axis=1)
+    safe = jnp.where(inside[:, None], uv, 0.0)
+    corner = jnp.floor(safe).astype(jnp.int32)
+    fx, fy = (safe - corner).T[..., None]
+    flat = image.reshape(size * size, -1)
+    start = corner[:, 1] * size + corner[:, 0]
+    a, b, c, d = flat[start], flat[start + 1], flat[start + size], flat[start + size + 1]
+    top, bottom = a + fx * (b - a), c + fx * (d - c)
+    gradient = jnp.stack([(1 - fy) * (b - a) + fy * (d - c), bottom - top], axis=-1)
+    return top + fy * (bottom - top), gradient, inside.astype(jnp.float32)
+
+
+def _clipped(step: jax.Array, most: float) -> jax.Array:
+    return step * jnp.minimum(1.0, most / jnp.maximum(jnp.linalg.norm(step), 1e-12))
+
+
+def _exp(turn: jax.Array) -> jax.Array:
+    """(3, 3) rotation of a rotation vector (Rodrigues)."""
+    angle = jnp.sqrt((turn**2).sum() + 1e-20)
+    x, y, z = turn / angle
+    K = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return jnp.eye(3) + jnp.sin(angle) * K + (1 - jnp.cos(angle)) * (K @ K)
