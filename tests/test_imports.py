@@ -12,14 +12,14 @@ import pytest
 import toolkit
 
 ROOT = Path(toolkit.__file__).parent
-STAGE_FOLDERS = ("segmenters", "associators", "descriptors", "indexes", "retrieval", "matchers", "pnp")
+STAGE_FOLDERS = ("segmenters", "associators", "descriptors", "indexes", "retrieval", "matchers", "pnp", "refiners")
 
 LAYERS = [
     {"errors", "slots", "paths", "meter", "progress", "files"},
     {"geometry"},
     {"types"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
-    {"stages", "database", "results", "pictures", "sim"},
+    {"stages", "database", "fusion", "assignment", "results", "pictures", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "cache", "data", "report"},
     {"experiment", "evaluate", "runs", "doctor"},

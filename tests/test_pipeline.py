@@ -10,7 +10,7 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluate import score
 from toolkit.geometry import invert, project
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
-from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, RETRIEVERS, SEGMENTERS
+from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
 from toolkit.types import Correspondences, Failure, Frame, Matches, PnPSolution, PoseEstimate, Segment
 
 
@@ -25,6 +25,7 @@ def stages(**chosen):
         "retriever": RETRIEVERS.create("instance_vote"),
         "matcher": MATCHERS.create("sift"),
         "pnp": PNP.create("poselib"),
+        "refiner": REFINERS.create("none"),
     }
     return Stages(**{**usual, **chosen})
 

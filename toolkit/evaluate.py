@@ -106,6 +106,7 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
                 "status": estimate.status,
                 "T_goal_current": None if motion is None else motion.tolist(),
                 "confidence": estimate.confidence,
+                "equivalents": None if estimate.equivalents is None else estimate.equivalents.tolist(),
                 "stage": failure.stage if failure else None,
                 "reason": failure.reason if failure else None,
                 "time_ms": {stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
@@ -117,7 +118,7 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
     return path
 
 
-_COLORS = {"estimated": (40, 200, 90), "failed": (230, 60, 50)}
+_COLORS = {"estimated": (40, 200, 90), "abstained": (240, 170, 40), "failed": (230, 60, 50)}
 
 
 def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:

@@ -45,6 +45,7 @@ class PipelineChoice(PipelineSettings):
     retriever: StageChoice
     matcher: StageChoice
     pnp: StageChoice
+    refiner: StageChoice = StageChoice(name="none")
 
     @field_validator(*SLOTS, mode="before")
     @classmethod

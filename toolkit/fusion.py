@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from toolkit.database import Database
-from toolkit.types import Failure, Float, Frame, Image, Mask, Region
+from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
 
 _VOXEL_M = 0.002
 _DEPTH_STEP_M = 0.01
@@ -93,6 +93,41 @@ def fuse(database: Database, instance: int) -> FusedModel | Failure:
     return FusedModel(merged[kept], tints[kept], seen_by[kept].astype(np.int32), patches)
 
 
+class Models:
+    """The fused models of a database, made when first asked for."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._known: dict[int, FusedModel | Failure] = {}
+
+    def get(self, instance: int) -> FusedModel | Failure:
+        """The model of one instance, or why there is none."""
+        if instance not in self._known:
+            self._known[instance] = fuse(self._database, instance)
+        return self._known[instance]
+
+
+@dataclass(frozen=True, eq=False)
+class RefineTask:
+    """One goal object and the instance it is taken for.
+
+    Attributes:
+        goal: the goal image.
+        segment: the object in it.
+        others: the other objects in it, which may hide parts of this one.
+        instance: the database instance.
+        models: where its fused model is to be had, if it is needed.
+        starts: (4, 4) motions found by other routes, best first.
+    """
+
+    goal: Frame
+    segment: Segment
+    others: tuple[Segment, ...]
+    instance: int
+    models: Models
+    starts: tuple[Float, ...] = field(default=())
+
+
 def _patch(frame: Frame, region: Region) -> Patch:
     assert frame.depth is not None
     kernel = np.ones((3, 3), np.uint8)
@@ -116,5 +151,5 @@ def _means(values: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> Float:
 def _not_lonely(points: Float) -> Mask:
     if len(points) <= _NEIGHBOURS:
         return np.ones(len(points), bool)
-    distances, _ = cKDTree(points).query(points, _NEIGHBOURS + 1)
+    distances, _ = KDTree(points).query(points, _NEIGHBOURS + 1)
     return np.asarray(distances[:, -1] < _LONELY_M)

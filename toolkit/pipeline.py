@@ -9,19 +9,22 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from toolkit.assignment import assign_instances, restrict
 from toolkit.crops import crop_region
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
+from toolkit.fusion import Models, RefineTask
 from toolkit.lifting import lift_matches, merge
 from toolkit.meter import Meter
 from toolkit.regions import lift_segment
 from toolkit.registry import PluginConfig
-from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Retriever, Segmenter
+from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Refiner, Retriever, Segmenter
 from toolkit.types import (
     Capture,
     Correspondences,
     Crop,
     Failure,
+    Float,
     Frame,
     PnPSolution,
     PoseEstimate,
@@ -41,6 +44,10 @@ class PipelineSettings(PluginConfig):
         description="Solve from all accepted candidates of the instance, or from the first accepted (the paper).",
     )
     min_matches: int = Field(default=6, ge=3, description="Lifted matches a candidate needs to be accepted.")
+    assignment: Literal["vote", "global"] = Field(
+        default="vote",
+        description="Goal objects choose their instance on their own (the paper), or each instance is given once.",
+    )
     crop_margin: float = Field(default=0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
 
 
@@ -59,6 +66,7 @@ class Stages:
     retriever: Retriever
     matcher: Matcher
     pnp: PnP
+    refiner: Refiner
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,7 @@ class _Search:
     """What trying one goal object's candidates has found so far."""
 
     accepted: list[_Accepted] = field(default_factory=list[_Accepted])
+    first: int | None = None
     matcher_calls: int = 0
     most_matches: int = 0
 
@@ -136,6 +145,7 @@ class Pipeline:
         if not segments:
             return []
         rankings: list[np.ndarray] = []
+        queries: Float | None = None
         if len(database):
             with self.meter.stage("descriptor"):
                 size = self.stages.descriptor.crop_size
@@ -146,11 +156,17 @@ class Pipeline:
                 rankings = list(self.stages.index.search(queries, len(database))[1])
         shared_ms, shared_cached = self.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
+        if queries is not None and self.settings.assignment == "global":
+            chosen = assign_instances(queries @ database.descriptors.T, database.instances)
+            rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
         references = _References(database, self.stages.matcher, self.settings.crop_margin)
+        models = Models(database)
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
             if rankings:
                 estimate = self._estimate_object(references, goal, number, segment, rankings[number])
+                others = tuple(s for s in segments if s is not segment)
+                estimate = self._refine(estimate, goal, others, models)
             else:
                 failure = Failure("segmenter", "no object region was found in the current frames")
                 estimate = PoseEstimate(number, segment, None, None, failure)
@@ -167,7 +183,8 @@ class Pipeline:
         if not search.accepted:
             reason = f"no candidate reached {self.settings.min_matches} lifted matches (best: {search.most_matches})"
             failure = Failure("matcher", reason)
-            return PoseEstimate(number, segment, None, None, failure, matcher_calls=search.matcher_calls)
+            instance = None if search.first is None else int(database.instances[search.first])
+            return PoseEstimate(number, segment, instance, None, failure, matcher_calls=search.matcher_calls)
         best: PoseEstimate | None = None
         for instance in dict.fromkeys(int(database.instances[a.row]) for a in search.accepted):
             accepted = [a for a in search.accepted if database.instances[a.row] == instance]
@@ -176,6 +193,27 @@ class Pipeline:
                 best = estimate
         assert best is not None
         return replace(best, matcher_calls=search.matcher_calls)
+
+    def _refine(self, estimate: PoseEstimate, goal: Frame, others: tuple[Segment, ...], models: Models) -> PoseEstimate:
+        """Let the refiner improve the motion, or find one where the matches gave none."""
+        if estimate.instance is None:
+            return estimate
+        starts = () if estimate.T_goal_current is None else (estimate.T_goal_current,)
+        with self.meter.stage("refiner"):
+            refined = self.stages.refiner.refine(
+                RefineTask(goal, estimate.segment, others, estimate.instance, models, starts)
+            )
+        if refined is None:
+            return estimate
+        if isinstance(refined, Failure):
+            return replace(estimate, T_goal_current=None, failure=refined)
+        return replace(
+            estimate,
+            T_goal_current=refined.T_goal_current,
+            failure=None,
+            confidence=refined.confidence,
+            equivalents=refined.equivalents,
+        )
 
     def _search(self, references: _References, goal: Frame, segment: Segment, ranking: np.ndarray) -> _Search:
         """Try candidates in the retriever's order; stop at the first accepted one when `fuse` is `first`."""
@@ -187,6 +225,7 @@ class Pipeline:
             query = self.stages.matcher.extract([query_crop])[0]
         batch = 1 if self.settings.fuse == "first" else len(database)
         while rows := traversal.next(batch):
+            search.first = rows[0] if search.first is None else search.first
             with self.meter.stage("matcher"):
                 matches = self.stages.matcher.match(query, references.features(rows))
             search.matcher_calls += len(rows)

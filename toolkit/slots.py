@@ -9,5 +9,6 @@ SLOTS: dict[str, str] = {
     "retriever": "retriever",
     "matcher": "matcher",
     "pnp": "pnp",
+    "refiner": "refiner",
 }
 """Pipeline slot -> the stage that fills it. Every slot is a command-line option and a key under `pipeline`."""

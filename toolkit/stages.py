@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.fusion import RefineTask
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -17,6 +18,7 @@ from toolkit.types import (
     Frame,
     Matches,
     PnPSolution,
+    Refined,
     Region,
     Segment,
 )
@@ -118,6 +120,17 @@ class PnP(Protocol):
         ...
 
 
+class Refiner(Protocol):
+    """Improves and verifies an object's motion by comparing its fused model with the goal image."""
+
+    def refine(self, task: RefineTask) -> Refined | Failure | None:
+        """Return the verified motion, an Abstention where it is not believed, a Failure where there is none.
+
+        None leaves the task's first start as it is.
+        """
+        ...
+
+
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",
     "toolkit.segmenters",
@@ -171,9 +184,19 @@ PNP: Registry[PnP] = Registry(
         "jax_ransac": "toolkit.pnp.jax_ransac:JaxRansac",
     },
 )
+REFINERS: Registry[Refiner] = Registry(
+    "refiner",
+    "toolkit.refiners",
+    {
+        "none": "toolkit.refiners.unrefined:Unrefined",
+        "photometric": "toolkit.refiners.photometric:Photometric",
+        "render_compare": "toolkit.refiners.render_compare:RenderCompare",
+    },
+)
 
 REGISTRIES: dict[str, Registry[Any]] = {
-    registry.stage: registry for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP)
+    registry.stage: registry
+    for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP, REFINERS)
 }
 """Singular stage name -> registry, in pipeline order."""
 

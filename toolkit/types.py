@@ -266,6 +266,34 @@ class Failure:
     reason: str
 
 
+@dataclass(frozen=True)
+class Abstention(Failure):
+    """An answer that its own verification does not believe: withheld, which is not the same as not found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A motion that was compared with the goal image.
+
+    Attributes:
+        T_goal_current: (4, 4) float64 motion in world coordinates, metres.
+        confidence: 0..1, probability of being right within 5 deg and 2 cm.
+        equivalents: (E, 4, 4) float64 motions that the goal image does not tell apart from it, itself the first.
+        covariance: (6, 6) float64 of (turn, shift) about the object's centre, rad^2 and m^2; rows and columns of what
+            was held fixed are 0.
+    """
+
+    T_goal_current: Float
+    confidence: float
+    equivalents: Float
+    covariance: Float
+
+    def __post_init__(self) -> None:
+        _require(is_rigid(self.T_goal_current), "a refined motion must be a rigid transform")
+        _require(0 <= self.confidence <= 1, f"a confidence must be in 0..1, got {self.confidence}")
+        _freeze(self, T_goal_current=self.T_goal_current, equivalents=self.equivalents, covariance=self.covariance)
+
+
 @dataclass(frozen=True, eq=False)
 class PnPSolution:
     """A solved PnP problem.
@@ -294,6 +322,7 @@ class PoseEstimate:
         T_goal_current: (4, 4) float64 motion in world coordinates (metres), or None.
         failure: why there is no motion, or None.
         confidence: 0..1, or None where the pipeline gives none.
+        equivalents: (E, 4, 4) float64 motions that look the same, this one the first; None where that was not asked.
         correspondences: what the pose was solved from, or None.
         inliers: (N,) bool over the correspondences, or None.
         candidates: (database row, number of correspondences) of every accepted candidate, in the order in which the
@@ -309,6 +338,7 @@ class PoseEstimate:
     T_goal_current: Float | None
     failure: Failure | None = None
     confidence: float | None = None
+    equivalents: Float | None = None
     correspondences: Correspondences | None = None
     inliers: Mask | None = None
     candidates: tuple[tuple[int, int], ...] = ()
@@ -323,8 +353,10 @@ class PoseEstimate:
 
     @property
     def status(self) -> str:
-        """`estimated` or `failed` (poses.json)."""
-        return "failed" if self.failure else "estimated"
+        """`estimated`, `abstained` or `failed` (poses.json)."""
+        if self.failure is None:
+            return "estimated"
+        return "abstained" if isinstance(self.failure, Abstention) else "failed"
 
     def move(self, points: Float) -> Float:
         """Apply the motion to (N, 3) world points. Raises ToolkitError when there is none."""

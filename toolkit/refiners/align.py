@@ -11,7 +11,7 @@ import jax.numpy as jnp
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
 
-_EDGE_SIGMA_PX = 0.8
+_EDGE_SIGMA_PX, _EDGE_REACH_PX = 0.8, 4.0
 _DAMPING = 1e-3
 _MOST_TURN, _MOST_SHIFT_M = 0.15, 0.02
 """Largest step of one iteration, radians and metres."""
@@ -93,24 +93,38 @@ def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax
 
 def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax.Array, iterations: int) -> Aligned:
     levels = goal.values.shape[0]
+
+    def step(level: int, R: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        H, g = _normal_equations(R, t, source, goal, level, free)
+        damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free))
+        delta = -jnp.linalg.solve(damped, g)
+        turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
+        return _exp(turn) @ R, t + shift
+
+    turn, place = R, t
     for level in range(levels):
+        turn, place = jax.lax.fori_loop(0, iterations, lambda _, pose, level=level: step(level, *pose), (turn, place))
+    information, _ = _normal_equations(turn, place, source, goal, levels - 1, free)
+    return Aligned(turn, place, information, _correlation(turn, place, source, goal))
 
-        def step(_: int, state: tuple[jax.Array, jax.Array], level: int = level) -> tuple[jax.Array, jax.Array]:
-            R, t = state
-            H, g = _normal_equations(R, t, source, goal, level, free)
-            damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free))
-            delta = -jnp.linalg.solve(damped, g)
-            turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
-            return _exp(turn) @ R, t + shift
 
-        R, t = jax.lax.fori_loop(0, iterations, step, (R, t))
-    information, _ = _normal_equations(R, t, source, goal, levels - 1, free)
-    return Aligned(R, t, information, _correlation(R, t, source, goal))
+Equations = tuple[jax.Array, jax.Array]
+"""(6, 6) Gauss-Newton matrix and (6,) gradient."""
 
 
 def _normal_equations(
     R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+) -> Equations:
+    turned = source.shape @ R.T
+    uv, duv = _project(turned + t, goal)
+    moved = duv @ _motion(turned) * free
+    terms = (_photometric(R, t, source, goal, level, free), _inside(uv, moved, goal), _outline(uv, moved, goal))
+    matrices, gradients = zip(*terms, strict=True)
+    return sum(matrices[1:], matrices[0]), sum(gradients[1:], gradients[0])
+
+
+def _photometric(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: jax.Array) -> Equations:
+    """The goal shows at each point what the patch showed there."""
     turned = source.points @ R.T
     uv, duv = _project(turned + t, goal)
     value, gradient, inside = _sample(goal.values[level], uv)
@@ -118,30 +132,32 @@ def _normal_equations(
     J = jnp.einsum("mcu,muk->mck", gradient, duv @ _motion(turned)) * free
     robust = 1 / (1 + (residual**2).sum(axis=1) / (3 * _PHOTO_SIGMA) ** 2) ** 2
     weight = robust * inside * source.weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
-    H = jnp.einsum("m,mck,mcl->kl", weight, J, J)
-    g = jnp.einsum("m,mck,mc->k", weight, J, residual)
+    return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, residual)
 
-    turned = source.shape @ R.T
-    uv, duv = _project(turned + t, goal)
-    motion = _motion(turned)
-    # No point of the model may lie where the object is not.
+
+def _inside(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
+    """No point of the model lies where the object is not."""
     distance, slope, near = _sample(goal.outside[..., None], uv)
-    J = jnp.einsum("mcu,muk->mck", slope, duv @ motion)[:, 0] * free
-    out = jnp.maximum(distance[:, 0] - _SAMPLES_PX, 0) * near
-    count = source.shape.shape[0]
-    # Each contour pixel stands for as many points as the model has a contour pixel.
-    weight = (goal.contour_weight.sum() / count) / (1 + (out / 4) ** 2) ** 2 / _EDGE_SIGMA_PX**2 * (out > 0)
-    H += jnp.einsum("m,mk,ml->kl", weight, J, J)
-    g += jnp.einsum("m,mk,m->k", weight, J, out)
-    # Every pixel of the outline has a point of the model close to it.
+    J = jnp.einsum("mcu,muk->mck", slope, moved)[:, 0]
+    residual = jnp.maximum(distance[:, 0] - _SAMPLES_PX, 0) * near
+    # All points together count as much as the outline.
+    share = goal.contour_weight.sum() / len(uv)
+    return _weighted(J, residual, share * (residual > 0))
+
+
+def _outline(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
+    """Every pixel of the object's outline has a point of the model close to it."""
     gaps = goal.contour[:, None] - uv[None]
     nearest = jnp.argmin((gaps**2).sum(axis=2), axis=1)
-    gap = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
-    J = -jnp.einsum("cu,cuk->ck", goal.normals, (duv @ motion)[nearest]) * free
-    weight = goal.contour_weight / (1 + (gap / 4) ** 2) ** 2 / _EDGE_SIGMA_PX**2
-    H += jnp.einsum("m,mk,ml->kl", weight, J, J)
-    g += jnp.einsum("m,mk,m->k", weight, J, gap)
-    return H, g
+    residual = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
+    J = -jnp.einsum("cu,cuk->ck", goal.normals, moved[nearest])
+    return _weighted(J, residual, goal.contour_weight)
+
+
+def _weighted(J: jax.Array, residual: jax.Array, weight: jax.Array) -> Equations:
+    """Equations of (M,) residuals in pixels, Geman-McClure weights."""
+    robust = weight / (1 + (residual / _EDGE_REACH_PX) ** 2) ** 2 / _EDGE_SIGMA_PX**2
+    return jnp.einsum("m,mk,ml->kl", robust, J, J), jnp.einsum("m,mk,m->k", robust, J, residual)
 
 
 def _correlation(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.Array:

@@ -8,166 +8,220 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from toolkit.geometry import invert, make_transform
+from toolkit.geometry import invert, make_transform, rotation_angle, transform_points
 from toolkit.refiners.align import Source, align
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.goal import GoalView
-from toolkit.refiners.render import score_poses
+from toolkit.refiners.render import Score, score_poses
 from toolkit.types import Float
 
-YAWS = 72
 _PLACINGS = 4
-_KEPT = 10
-_PATCHES = 2
-_ITERATIONS = 8
+_PLACED_POINTS = 256
+_DISTINCT_RAD, _DISTINCT_M = np.radians(8), 0.01
+"""Refined hypotheses closer than this are one."""
+
 PLANAR = np.array([0, 0, 1, 1, 1, 0], np.float32)
+FREE = np.ones(6, np.float32)
 
 
 @dataclass(frozen=True)
+class Search:
+    """How hypotheses are made and refined.
+
+    Attributes:
+        rotations: (B, 3, 3) turns that are tried; none to refine the given starts only.
+        free: (6,) which of (turn xyz, shift xyz) the refinement may change, 1 or 0.
+        kept: hypotheses that are refined, starts included.
+        patches: views every hypothesis is compared with.
+        iterations: Gauss-Newton steps a level.
+    """
+
+    rotations: Float
+    free: Float
+    kept: int
+    patches: int
+    iterations: int
+
+
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A refined, verified motion.
+    """A refined motion and how well it agrees with the goal image.
 
     Attributes:
         T_goal_current: (4, 4).
-        score: the verification score, higher is better.
-        iou, correlation, color: its parts.
+        iou: overlap of silhouettes.
+        correlation: of locally centred colours, rendered against seen.
+        color: mean difference of colours.
+        photometric: correlation of normalised intensities with the views it was refined on.
         information: (6, 6) inverse covariance of (turn, shift) about the object's centre.
     """
 
     T_goal_current: Float
-    score: float
     iou: float
     correlation: float
     color: float
     photometric: float
     information: Float
 
+    @property
+    def score(self) -> float:
+        """The verification score, common to all routes; higher is better."""
+        return self.iou + self.correlation - self.color + self.photometric
 
-def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], free: Float = PLANAR) -> list[Hypothesis]:
+
+def yaw_rotations(count: int) -> Float:
+    """(count, 3, 3) turns about the vertical."""
+    return Rotation.from_rotvec(np.outer(2 * np.pi * np.arange(count) / count, [0, 0, 1])).as_matrix()
+
+
+def all_rotations(tilts: int, yaws: int) -> Float:
+    """(tilts * yaws, 3, 3) turns that put `tilts` directions of a Fibonacci sphere up, each with `yaws` yaws."""
+    step = np.arange(tilts) + 0.5
+    z, azimuth = 1 - 2 * step / tilts, step * np.pi * (3 - np.sqrt(5))
+    tilt = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(tilts)], axis=1) * np.arccos(z)[:, None]
+    upright = Rotation.from_rotvec(tilt).inv().as_matrix()
+    return (yaw_rotations(yaws)[:, None] @ upright[None]).reshape(-1, 3, 3)
+
+
+def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Search) -> list[Hypothesis]:
     """Refine the best hypotheses and order them by their verification score, best first.
 
     Args:
         cloud: the object.
         goal: where it is sought.
-        starts: (4, 4) motions found by other routes.
-        free: (6,) which of (turn xyz, shift xyz) may change.
+        starts: (4, 4) motions found by other routes; kept beside the hypotheses, whatever their first score.
+        search: how hypotheses are made and refined.
     """
-    R, t = _yaw_grid(cloud, goal)
-    given = [_planar(T, cloud.center) for T in starts]
-    scores = _scored(cloud, goal, R, t)[0]
-    kept = _distinct(scores, _KEPT - len(given))
-    R = np.concatenate([*(g[0][None] for g in given), R[kept]])
-    t = np.concatenate([*(g[1][None] for g in given), t[kept]])
+    turns, places = _first_guesses(cloud, goal, starts, search)
     refined = align(
-        jnp.asarray(R, jnp.float32),
-        jnp.asarray(t, jnp.float32),
-        _sources(cloud, goal, R, t),
+        jnp.asarray(turns, jnp.float32),
+        jnp.asarray(places, jnp.float32),
+        _sources(cloud, goal, turns, places, search.patches),
         goal.image,
-        jnp.asarray(free),
-        _ITERATIONS,
+        jnp.asarray(search.free),
+        search.iterations,
     )
-    R, t, information, photometric = jax.device_get(refined)
-    R, t = _orthonormal(np.asarray(R, np.float64)), np.asarray(t, np.float64)
-    total, iou, correlation, color = _scored(cloud, goal, R, t)
-    score = total + photometric
+    turns, places, information, photometric = (np.asarray(part, np.float64) for part in jax.device_get(refined))
+    finite = np.isfinite(turns).all(axis=(1, 2)) & np.isfinite(places).all(axis=1)
+    turns, places = _orthonormal(turns[finite]), places[finite]
+    if not len(turns):
+        return []
+    agreement = _agreement(cloud, goal, turns, places)
     found = [
         Hypothesis(
-            make_transform(R[i], t[i] - R[i] @ cloud.center),
-            float(score[i]),
-            float(iou[i]),
-            float(correlation[i]),
-            float(color[i]),
-            float(photometric[i]),
-            information[i],
+            make_transform(R, t - R @ cloud.center),
+            iou=float(agreement.iou[i]),
+            correlation=float(agreement.correlation[i]),
+            color=float(agreement.color[i]),
+            photometric=float(photometric[finite][i]),
+            information=information[finite][i],
         )
-        for i in np.argsort(-score, kind="stable")
+        for i, (R, t) in enumerate(zip(turns, places, strict=True))
     ]
-    return found
+    return _distinct(sorted(found, key=lambda h: -h.score), cloud.center)
 
 
-def _yaw_grid(cloud: Cloud, goal: GoalView) -> tuple[Float, Float]:
-    """(Y, 3, 3) turns about the vertical and (Y, 3) places of the centre that put the model over the mask.
+def _first_guesses(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Search) -> tuple[Float, Float]:
+    """(B, 3, 3) turns and (B, 3) places of the centre that are worth refining."""
+    given = [_start(T, cloud.center, search.free) for T in starts]
+    turns = np.array([turn for turn, _ in given]).reshape(-1, 3, 3)
+    places = np.array([place for _, place in given]).reshape(-1, 3)
+    if not len(search.rotations):
+        return turns, places
+    on_table = _placed(cloud, goal, search.rotations)
+    total = np.asarray(_agreement(cloud, goal, search.rotations, on_table).total)
+    rows = _peaks(total, search.rotations, search.kept - len(given))
+    return np.concatenate([turns, search.rotations[rows]]), np.concatenate([places, on_table[rows]])
+
+
+def _placed(cloud: Cloud, goal: GoalView, R: Float) -> Float:
+    """(B, 3) places of the centre that put the model, turned by (B, 3, 3) R, on the table and over the mask.
 
     Closed form and repeated: the offset between the boxes of the projected model and of the mask, taken back to the
-    table's plane.
+    table's plane. The model's lowest point stays as high as it is now.
     """
-    angles = 2 * np.pi * np.arange(YAWS) / YAWS
-    cos, sin, zero = np.cos(angles), np.sin(angles), np.zeros(YAWS)
-    R = np.stack(
-        [np.stack([cos, -sin, zero], 1), np.stack([sin, cos, zero], 1), np.stack([zero, zero, zero + 1], 1)], axis=1
-    )
     camera = goal.frame.camera
     T = invert(camera.T_world_camera)
     y, x = np.nonzero(goal.mask)
-    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
-    target = (low + high) / 2
-    turned = cloud.points[:256].astype(np.float64) @ np.swapaxes(R, 1, 2)
-    height = cloud.center[2]
+    target = np.array([x.min() + x.max(), y.min() + y.max()]) / 2
+    turned = cloud.points[:_PLACED_POINTS].astype(np.float64) @ np.swapaxes(R, 1, 2)
+    floor = cloud.center[2] + cloud.points[:, 2].min()
+    heights = floor - turned[..., 2].min(axis=1)
     ray = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K) @ np.array([*target, 1])
     eye = camera.T_world_camera[:3, 3]
-    t = np.broadcast_to(eye + ray * (height - eye[2]) / ray[2], (YAWS, 3)).copy()
+    t = eye + ray * ((heights - eye[2]) / ray[2])[:, None]
     focal = np.diagonal(camera.K)[:2]
     for _ in range(_PLACINGS):
         seen = (turned + t[:, None]) @ T[:3, :3].T + T[:3, 3]
         pixels = seen[..., :2] / seen[..., 2:] * focal + camera.K[:2, 2]
         offset = target - (pixels.min(axis=1) + pixels.max(axis=1)) / 2
         center = t @ T[:3, :3].T + T[:3, 3]
-        z = center[:, 2]
-        flat = center[:, :2] / z[:, None]
-        derivative = np.zeros((YAWS, 2, 3))
-        derivative[:, [0, 1], [0, 1]] = focal / z[:, None]
-        derivative[:, :, 2] = -flat * focal / z[:, None]
+        derivative = np.zeros((len(R), 2, 3))
+        derivative[:, [0, 1], [0, 1]] = focal / center[:, 2:]
+        derivative[:, :, 2] = -center[:, :2] / center[:, 2:] ** 2 * focal
         in_plane = (derivative @ T[:3, :3])[:, :, :2]
         t[:, :2] += np.linalg.solve(in_plane, offset[..., None])[..., 0]
-    return R, t
+    return t
 
 
-def _planar(T: Float, center: Float) -> tuple[Float, Float]:
-    """The turn about the vertical nearest to a motion's, and where it takes the centre, at its old height."""
-    yaw = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    R = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+def _start(T: Float, center: Float, free: Float) -> tuple[Float, Float]:
+    """A motion as (3, 3) turn and (3,) place of the centre; under the planar prior the nearest planar one."""
     place = T[:3, :3] @ center + T[:3, 3]
-    return R, np.array([place[0], place[1], center[2]])
+    if free[0]:
+        return T[:3, :3], place
+    yaw = np.arctan2(T[1, 0] - T[0, 1], T[0, 0] + T[1, 1])
+    return Rotation.from_euler("z", yaw).as_matrix(), np.array([place[0], place[1], center[2]])
 
 
-def _scored(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> tuple[Float, Float, Float, Float]:
+def _agreement(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Score:
+    """Agreement of (B, 3, 3), (B, 3) poses of the centred model with the goal; NumPy arrays (B,)."""
     T = invert(goal.frame.camera.T_world_camera)
     poses = np.zeros((len(R), 4, 4), np.float32)
     poses[:, :3, :3] = T[:3, :3] @ R
     poses[:, :3, 3] = t @ T[:3, :3].T + T[:3, 3]
-    score = score_poses(
-        jnp.asarray(cloud.points),
-        jnp.asarray(cloud.colors),
-        jnp.asarray(cloud.valid),
-        jnp.asarray(goal.frame.camera.K, jnp.float32),
-        jnp.asarray(poses),
-        goal.grid,
-    )
-    total, iou, correlation, color = (np.asarray(part, np.float64) for part in jax.device_get(score))
-    return total, iou, correlation, color
+    K = jnp.asarray(goal.frame.camera.K, jnp.float32)
+    arrays = (jnp.asarray(a) for a in (cloud.points, cloud.colors, cloud.valid))
+    return jax.device_get(score_poses(*arrays, K, jnp.asarray(poses), goal.grid))
 
 
-def _distinct(scores: Float, count: int) -> np.ndarray:
-    """The best `count` of a ring of scores, local maxima first."""
-    peak = (scores >= np.roll(scores, 1)) & (scores >= np.roll(scores, -1))
-    order = np.lexsort((-scores, ~peak))
-    return order[:count]
+def _peaks(scores: Float, R: Float, count: int) -> NDArray[np.int64]:
+    """The best `count` of the hypotheses, those first that no better one is close to."""
+    order = np.argsort(-scores, kind="stable")[: 6 * count]
+    gap = np.arccos(((np.einsum("aij,bij->ab", R[order], R[order]) - 1) / 2).clip(-1, 1))
+    near_better = np.tril(gap < 2 * _DISTINCT_RAD, -1).any(axis=1)
+    return order[np.argsort(near_better, kind="stable")[:count]]
 
 
-def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Source:
+def _distinct(hypotheses: list[Hypothesis], center: Float) -> list[Hypothesis]:
+    """Without those that came out where a better one did."""
+    kept: list[Hypothesis] = []
+    for h in hypotheses:
+        if not any(_same(h.T_goal_current, other.T_goal_current, center) for other in kept):
+            kept.append(h)
+    return kept
+
+
+def _same(a: Float, b: Float, center: Float) -> bool:
+    shift = np.linalg.norm(transform_points(a, center) - transform_points(b, center))
+    return bool(shift < _DISTINCT_M and rotation_angle(a[:3, :3].T @ b[:3, :3]) < _DISTINCT_RAD)
+
+
+def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float, patches: int) -> Source:
     """What every hypothesis is compared with: the patches seen from where the goal camera would then stand."""
     eye = goal.frame.camera.T_world_camera[:3, 3]
     points, values, weights = [], [], []
     for turn, place in zip(R, t, strict=True):
         direction = turn.T @ (eye - place)
-        chosen = [cloud.patch(i) for i in cloud.nearest_patches(direction / np.linalg.norm(direction), _PATCHES)]
+        chosen = [cloud.patch(i) for i in cloud.nearest_patches(direction / np.linalg.norm(direction), patches)]
         points.append(np.concatenate([c[0] for c in chosen]))
         values.append(np.concatenate([c[1] for c in chosen], axis=1))
         weights.append(np.concatenate([c[2] for c in chosen]))
     shape = np.broadcast_to(cloud.points, (len(R), *cloud.points.shape))
-    return Source(*(jnp.asarray(np.stack(a), jnp.float32) for a in (points, values, weights)), jnp.asarray(shape))
+    stacked = [jnp.asarray(np.stack(arrays), jnp.float32) for arrays in (points, values, weights)]
+    return Source(stacked[0], stacked[1], stacked[2], jnp.asarray(shape))
 
 
 def _orthonormal(R: Float) -> Float:

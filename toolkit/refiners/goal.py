@@ -1,4 +1,4 @@
-"""One goal object, cut out for comparison: the grid that hypotheses are scored on, the crop that poses are refined on."""
+"""One goal object, cut out: the grid hypotheses are scored on, the crop poses are refined on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolkit.geometry import invert
 from toolkit.refiners.align import GoalImage
 from toolkit.refiners.images import normalized, opponent
 from toolkit.refiners.render import GRID, GoalGrid
-from toolkit.types import Float, Frame, Mask, Segment
+from toolkit.types import Float, Frame, Image, Mask, Segment
 
 LEVELS_PX = (2.5, 1.2, 0.6)
 """Blur of the intensities, coarse to fine, in pixels of the goal."""
@@ -74,14 +74,14 @@ def _grid(frame: Frame, segment: Segment, hidden: Mask) -> GoalGrid:
     )
 
 
-def _resampled(image: Float, origin: Float, scale: float, size: int) -> Float:
+def _resampled(image: Float | Image | Mask, origin: Float, scale: float, size: int) -> Float:
     """(size, size) samples of an image whose square starts at the outer corner `origin`."""
-    image = np.asarray(image, np.float32)
+    smooth = np.asarray(image, np.float32)
     if scale < 1:
-        image = cv2.GaussianBlur(image, (0, 0), 0.4 / scale)
+        smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), 0.4 / scale), np.float32)
     offset = 0.5 * scale - origin * scale - 0.5
     matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
-    return cv2.warpAffine(image, matrix, (size, size), flags=cv2.INTER_LINEAR)
+    return np.asarray(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR), np.float32)
 
 
 def _image(frame: Frame, segment: Segment, hidden: Mask) -> tuple[GoalImage, float]:

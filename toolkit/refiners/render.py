@@ -55,7 +55,7 @@ class Score(NamedTuple):
 def score_poses(
     points: jax.Array, colors: jax.Array, valid: jax.Array, K: jax.Array, poses: jax.Array, goal: GoalGrid
 ) -> Score:
-    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) opponent colours, of which `valid` (N,) count."""
+    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) opponent colours; (N,) `valid` ones count."""
     return jax.vmap(lambda pose: _score(points, colors, valid, K, pose, goal))(poses)
 
 

@@ -1,0 +1,21 @@
+"""Refinement of what PnP found, without looking for anything else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolkit.refiners.compare import FREE, PLANAR, Search
+from toolkit.refiners.render_compare import ImageRefiner, RefinerConfig
+
+
+class Photometric(ImageRefiner):
+    """Gauss-Newton from PnP's motion on locally normalised intensities and silhouette."""
+
+    name = "photometric"
+    Config = RefinerConfig
+
+    def search(self) -> Search:
+        """See ImageRefiner."""
+        c = self.config
+        free = PLANAR if c.prior == "planar" else FREE
+        return Search(np.zeros((0, 3, 3)), free, 1, c.patches, c.iterations)

@@ -1,0 +1,116 @@
+"""Hypotheses all around, rendered, compared and refined: the road past sparse matches."""
+
+from __future__ import annotations
+
+from typing import Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.fusion import FusedModel, RefineTask
+from toolkit.geometry import rotation_angle
+from toolkit.refiners.cloud import Cloud
+from toolkit.refiners.compare import FREE, PLANAR, Hypothesis, Search, all_rotations, compare, yaw_rotations
+from toolkit.refiners.confidence import confidence
+from toolkit.refiners.goal import LEVELS_PX, view_goal
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Abstention, Failure, Float, Refined
+
+
+class RefinerConfig(PluginConfig):
+    """Settings of the refiners that compare images."""
+
+    prior: Literal["planar", "none"] = Field(
+        "planar", description="Objects turn about the vertical and slide on the table; or move freely."
+    )
+    patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
+    iterations: int = Field(8, ge=1, description="Gauss-Newton steps a level.")
+    abstain_below: float = Field(0.0, ge=0, le=1, description="Answers of less confidence are withheld.")
+    same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
+
+
+class RenderCompareConfig(RefinerConfig):
+    """Settings of `render_compare`."""
+
+    yaws: int = Field(72, ge=4, description="Turns about the vertical that are tried.")
+    tilts: int = Field(
+        26, ge=1, description="Directions that are put up, with prior none; with a third of the yaws each."
+    )
+    kept: int = Field(10, ge=2, description="Best hypotheses that are refined, starts included.")
+    use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
+
+
+class ImageRefiner(Plugin):
+    """Base of the refiners: fused model against goal image. A subclass says which hypotheses there are."""
+
+    stage = "refiner"
+    config: RefinerConfig
+
+    def __init__(self, config: PluginConfig | None = None) -> None:
+        super().__init__(config)
+        self._clouds: WeakKeyDictionary[FusedModel, Cloud] = WeakKeyDictionary()
+
+    def search(self) -> Search:
+        """How hypotheses are made."""
+        raise NotImplementedError
+
+    def starts(self, task: RefineTask) -> tuple[Float, ...]:
+        """(4, 4) motions of other routes that compete."""
+        return task.starts
+
+    def refine(self, task: RefineTask) -> Refined | Failure:
+        """Return the hypothesis that agrees best with the goal image; see Refiner."""
+        starts, search = self.starts(task), self.search()
+        if not starts and not len(search.rotations):
+            return Failure("refiner", "there is no motion to refine")
+        model = task.models.get(task.instance)
+        if isinstance(model, Failure):
+            return model
+        if model not in self._clouds:
+            self._clouds[model] = Cloud(model, LEVELS_PX)
+        cloud = self._clouds[model]
+        found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
+        return self._answer(found) if found else Failure("refiner", "no hypothesis stayed finite")
+
+    def _answer(self, found: list[Hypothesis]) -> Refined | Failure:
+        """Of those that look the same as the best, the one that moves the object least."""
+        alike = [h for h in found if h.score >= found[0].score - self.config.same_score]
+        alike.sort(key=lambda h: rotation_angle(h.T_goal_current[:3, :3]))
+        sure = confidence(found)
+        if sure < self.config.abstain_below:
+            return Abstention("refiner", f"confidence {sure:.2f} is below {self.config.abstain_below:g}")
+        best = alike[0]
+        return Refined(
+            best.T_goal_current,
+            sure,
+            np.stack([h.T_goal_current for h in alike]),
+            _covariance(best.information, self.search().free),
+        )
+
+
+def _covariance(information: Float, free: Float) -> Float:
+    rows = np.flatnonzero(free)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(rows, rows)] = np.linalg.pinv(information[np.ix_(rows, rows)], hermitian=True)
+    return covariance
+
+
+class RenderCompare(ImageRefiner):
+    """Renders the fused model in every yaw (or rotation), refines the best, and verifies them with PnP's answer."""
+
+    name = "render_compare"
+    Config = RenderCompareConfig
+    config: RenderCompareConfig  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def search(self) -> Search:
+        """See ImageRefiner."""
+        c = self.config
+        if c.prior == "planar":
+            return Search(yaw_rotations(c.yaws), PLANAR, c.kept, c.patches, c.iterations)
+        rotations = np.concatenate([yaw_rotations(c.yaws), all_rotations(c.tilts, max(c.yaws // 3, 1))])
+        return Search(rotations, FREE, c.kept, c.patches, c.iterations)
+
+    def starts(self, task: RefineTask) -> tuple[Float, ...]:
+        """See ImageRefiner."""
+        return task.starts[: self.config.kept - 1] if self.config.use_starts else ()
