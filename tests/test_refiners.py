@@ -1,0 +1,240 @@
+"""Render and compare: geometry against finite differences, motions against the truth, bad input against crashes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from toolkit.assignment import assign_instances, restrict
+from toolkit.evaluate import score
+from toolkit.fusion import FusedModel, Models, RefineTask, fuse
+from toolkit.geometry import make_transform, rotation_angle, rotation_z
+from toolkit.metrics import pose_error
+from toolkit.pipeline import Pipeline, PipelineSettings, Stages
+from toolkit.refiners import align as alignment
+from toolkit.refiners.cloud import Cloud
+from toolkit.refiners.compare import all_rotations, yaw_rotations
+from toolkit.refiners.goal import LEVELS_PX, view_goal
+from toolkit.refiners.images import normalized
+from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
+from toolkit.types import Abstention, Failure, Refined, Segment
+
+
+def make_pipeline(refiner, settings=None, **pipeline):
+    oracle = SEGMENTERS.create("oracle")
+    stages = Stages(
+        segmenter=oracle,
+        goal_segmenter=oracle,
+        associator=ASSOCIATORS.create("oracle"),
+        descriptor=DESCRIPTORS.create("color_hist"),
+        index=INDEXES.create("numpy"),
+        retriever=RETRIEVERS.create("instance_vote"),
+        matcher=MATCHERS.create("sift"),
+        pnp=PNP.create("poselib"),
+        refiner=REFINERS.create(refiner, settings),
+    )
+    return Pipeline(stages, PipelineSettings(**pipeline))
+
+
+@pytest.fixture(scope="module")
+def database(capture):
+    return make_pipeline("none").build_database(capture.current)
+
+
+@pytest.fixture(scope="module")
+def tasks(capture, database):
+    """Every object with its true instance, and no start."""
+    models = Models(database)
+    segments = {i: Segment(mask) for i, mask in sorted(capture.goal.true_masks.items())}
+    found = {}
+    for i, segment in segments.items():
+        row = next(r for r in range(len(database)) if _shows(database, r, i))
+        others = tuple(s for s in segments.values() if s is not segment)
+        found[i] = RefineTask(capture.goal, segment, others, int(database.instances[row]), models)
+    return found
+
+
+def _shows(database, row, instance):
+    mask = database.regions[row].segment.mask
+    truth = database.frame_of(row).true_masks.get(instance)
+    return truth is not None and (mask & truth).sum() > 0.9 * mask.sum()
+
+
+def test_a_fused_model_lies_on_the_object(capture, database, tasks):
+    for i, task in tasks.items():
+        model, truth = fuse(database, task.instance), capture.truth[i]
+        inside = np.linalg.inv(truth.T_world_current)
+        local = model.points @ inside[:3, :3].T + inside[:3, 3] - truth.model.box_min
+        assert (local > -0.002).all() and (local < truth.model.box_size + 0.002).all()
+        assert len(np.unique(np.floor(model.points / 0.002), axis=0)) > 0.6 * len(model.points)
+        assert model.seen_by.max() >= 2
+        assert ((model.colors >= 0) & (model.colors <= 255)).all()
+
+
+def test_render_compare_finds_the_motions_without_any_start(capture, tasks):
+    refiner = REFINERS.create("render_compare")
+    for i, task in tasks.items():
+        answer = refiner.refine(task)
+        assert isinstance(answer, Refined)
+        error = pose_error(answer.T_goal_current, capture.truth[i])
+        assert error.rotation_error_deg_sym < 2 and error.translation_error_cm_sym < 0.4
+        assert any(np.allclose(answer.T_goal_current, T) for T in answer.equivalents)
+        spread = np.sqrt(np.diag(answer.covariance))
+        assert (spread[[2, 3, 4]] > 0).all() and (spread[[0, 1, 5]] == 0).all()
+        assert spread[2] < np.radians(3) and spread[3] < 0.01
+
+
+@pytest.mark.parametrize("prior", ["planar", "none"])
+def test_photometric_sharpens_a_start(capture, tasks, prior):
+    refiner = REFINERS.create("photometric", {"prior": prior})
+    better = 0
+    for i, task in tasks.items():
+        truth = capture.truth[i].T_goal_current
+        center = truth[:3, :3] @ fuse_center(task) + truth[:3, 3]
+        turn = rotation_z(np.radians(4))[:3, :3]
+        off = make_transform(turn, center + np.array([0.004, -0.003, 0]) - turn @ center) @ truth
+        answer = refiner.refine(replace(task, starts=(off,)))
+        before, after = (pose_error(T, capture.truth[i]) for T in (off, answer.T_goal_current))
+        better += after.rotation_error_deg < 0.5 * before.rotation_error_deg
+    assert better >= len(tasks) - 1
+
+
+def fuse_center(task):
+    return task.models.get(task.instance).center
+
+
+def test_the_gauss_newton_gradient_is_the_derivative(tasks):
+    """Finite differences of the robust cost along every free direction, at a generic pose."""
+    task = next(iter(tasks.values()))
+    cloud, goal = Cloud(task.models.get(task.instance), LEVELS_PX), view_goal(task.goal, task.segment, ())
+    points, values, weights = cloud.patch(0)
+    source = alignment.Source(*(jnp.asarray(a) for a in (points, values, weights)), jnp.asarray(cloud.points))
+    R = jnp.asarray(Rotation.from_rotvec([0.1, -0.2, 0.4]).as_matrix(), jnp.float32)
+    _, duv = alignment._project(source.points @ R.T + jnp.asarray(cloud.center, jnp.float32), goal.image)
+    J = duv @ alignment._motion(source.points @ R.T)
+    for k in range(6):
+        step = np.zeros(6, np.float32)
+        step[k] = 1e-3
+
+        def moved(sign, step=step):
+            turn = alignment._exp(jnp.asarray(sign * step[:3])) @ R
+            place = jnp.asarray(cloud.center, jnp.float32) + sign * step[3:]
+            return alignment._project(source.points @ turn.T + place, goal.image)[0]
+
+        numeric = (moved(1) - moved(-1)) / 2e-3
+        np.testing.assert_allclose(J[..., k], numeric, rtol=0.02, atol=0.5)
+
+
+def test_normalised_images_ignore_light_and_background():
+    rng = np.random.default_rng(0)
+    rgb = np.kron(rng.integers(60, 180, (16, 16, 3)), np.ones((6, 6, 1))).astype(np.uint8)
+    mask = np.zeros(rgb.shape[:2], bool)
+    mask[20:70, 15:80] = True
+    plain = normalized(rgb, mask, 1.0)
+    lit = normalized(
+        np.where(mask[..., None], rgb * 0.9 + 20, rng.integers(0, 255, rgb.shape)).astype(np.uint8), mask, 1.0
+    )
+    assert np.corrcoef(plain[mask].ravel(), lit[mask].ravel())[0, 1] > 0.99
+    assert (plain[~mask] == 0).all()
+
+
+def test_rotations_are_spread_and_proper():
+    for R in (yaw_rotations(72), all_rotations(26, 24)):
+        np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.det(R), 1)
+    everywhere = all_rotations(26, 24)
+    for target in Rotation.random(50, rng=np.random.default_rng(0)).as_matrix():
+        assert min(rotation_angle(target.T @ R) for R in everywhere) < np.radians(40)
+
+
+def test_nothing_recompiles_after_warm_up(tasks):
+    refiner = REFINERS.create("render_compare")
+    for task in tasks.values():
+        refiner.refine(task)
+        refiner.refine(replace(task, starts=(np.eye(4),)))
+    compilations = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **__: compilations.append(event) if "backend_compile" in event else None
+    )
+    for task in tasks.values():
+        REFINERS.create("render_compare").refine(replace(task, starts=(rotation_z(1.0),), others=()))
+    assert not compilations
+
+
+def test_the_same_task_gives_the_same_bytes(tasks):
+    task = next(iter(tasks.values()))
+    a, b = (REFINERS.create("render_compare").refine(task).T_goal_current.tobytes() for _ in range(2))
+    assert a == b
+
+
+def test_little_confidence_is_an_abstention(tasks):
+    task = next(iter(tasks.values()))
+    answer = REFINERS.create("render_compare", {"abstain_below": 1.0}).refine(task)
+    assert isinstance(answer, Abstention) and "confidence" in answer.reason
+
+
+def test_a_mask_of_the_wrong_object_lowers_the_confidence(tasks):
+    refiner = REFINERS.create("render_compare")
+    first, second, *_ = tasks.values()
+    right, wrong = refiner.refine(first), refiner.refine(replace(first, segment=second.segment, others=()))
+    assert isinstance(wrong, Failure) or wrong.confidence < right.confidence
+
+
+def test_too_few_points_are_a_failure(capture, database):
+    rows = database.instance(0)
+    tiny = replace(database, regions=tuple(_shrunk(r) if k in rows else r for k, r in enumerate(database.regions)))
+    answer = fuse(tiny, 0)
+    assert isinstance(answer, Failure) and "points" in answer.reason
+
+
+def _shrunk(region):
+    return replace(region, points=region.points[:1], pixels=region.pixels[:1])
+
+
+def test_one_pixel_of_mask_crashes_nothing(tasks):
+    task = next(iter(tasks.values()))
+    mask = np.zeros_like(task.segment.mask)
+    mask[240, 320] = True
+    answer = REFINERS.create("render_compare").refine(replace(task, segment=Segment(mask)))
+    assert isinstance(answer, (Refined, Failure))
+
+
+def test_one_view_only_is_enough_to_try(capture):
+    estimates = make_pipeline("render_compare", views=1).run(capture)
+    assert all(e.status in {"estimated", "failed"} for e in estimates)
+
+
+def test_photometric_without_a_start_is_a_failure(tasks):
+    answer = REFINERS.create("photometric").refine(next(iter(tasks.values())))
+    assert isinstance(answer, Failure) and "no motion" in answer.reason
+
+
+def test_the_pipeline_is_better_with_render_compare(capture):
+    plain, refined = (score(capture, make_pipeline(name).run(capture)) for name in ("none", "render_compare"))
+    assert sum(r.success_sym for r in refined) >= sum(r.success_sym for r in plain)
+    assert np.median([r.rotation_error_deg_sym for r in refined]) < 1.0
+    assert all(0 <= r.confidence <= 1 for r in refined)
+
+
+def test_an_assignment_gives_every_instance_once():
+    """Two goal objects that both look most like instance 0."""
+    similarity = np.array([[0.9, 0.9, 0.5, 0.5], [0.95, 0.95, 0.9, 0.9]])
+    instances = np.array([0, 0, 1, 1])
+    assert assign_instances(similarity, instances).tolist() == [0, 1]
+    assert assign_instances(np.concatenate([similarity, similarity]), instances).tolist().count(-1) == 2
+    assert restrict(np.array([3, 0, 2, 1]), instances, 1).tolist() == [3, 2]
+    assert restrict(np.array([3, 0]), instances, -1).tolist() == [3, 0]
+
+
+def test_clouds_have_one_shape(database):
+    big = fuse(database, 0)
+    small = FusedModel(big.points[:40], big.colors[:40], big.seen_by[:40], big.patches)
+    for model in (big, small):
+        cloud = Cloud(model, LEVELS_PX)
+        assert cloud.points.shape == (1024, 3) and cloud.patch(0)[0].shape == (768, 3)
+        assert cloud.valid.sum() == min(len(model.points), 1024)
