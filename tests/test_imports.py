@@ -15,7 +15,7 @@ ROOT = Path(toolkit.__file__).parent
 STAGE_FOLDERS = ("segmenters", "associators", "descriptors", "indexes", "retrieval", "matchers", "pnp", "refiners")
 
 LAYERS = [
-    {"errors", "slots", "paths", "meter", "progress", "files"},
+    {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
     {"geometry"},
     {"types"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},

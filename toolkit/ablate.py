@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import joblib
 import numpy as np
 
 from toolkit.cache import Cache
@@ -16,6 +14,7 @@ from toolkit.data.source import Dataset, open_dataset
 from toolkit.digests import digest
 from toolkit.evaluate import write_case
 from toolkit.experiment import Cell, Experiment, expand
+from toolkit.parallel import run_parallel
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.report import write_report
@@ -122,10 +121,7 @@ def _execute(tasks: Sequence[SceneTask], options: RunOptions) -> Iterator[tuple[
     if options.workers == 1 or len(tasks) < 2:
         yield from ((task, run_scene(task)) for task in tasks)
         return
-    threads = {"inner_max_num_threads": 1} if options.backend == "loky" else {}
-    with joblib.parallel_config(backend=options.backend, n_jobs=options.workers, **threads):
-        parallel: Any = joblib.Parallel(return_as="generator_unordered")
-        yield from parallel(joblib.delayed(run_scene_in_process)(task) for task in tasks)
+    yield from run_parallel(run_scene_in_process, ((task,) for task in tasks), options.workers, options.backend)
 
 
 def _in_order(rows: Sequence[Row], cells: Sequence[Cell]) -> list[Row]:

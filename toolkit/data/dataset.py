@@ -9,14 +9,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import joblib
-
 from toolkit import __version__
 from toolkit.data.objects import ObjectSet, load_object_set
 from toolkit.data.tabletop import TabletopConfig, build_scene
 from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
+from toolkit.parallel import run_parallel
 
 OnScene = Callable[[int, int], None]
 """Called with (finished, total) after every scene."""
@@ -90,8 +89,8 @@ def _build(
         return
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "dataset.json", _made(config, objects))
-    parallel = joblib.Parallel(n_jobs=min(workers, len(missing)), return_as="generator_unordered")
-    for _ in parallel(joblib.delayed(_build_one)(config, objects, i, folder, cache) for i in missing):
+    tasks = ((config, objects, i, folder, cache) for i in missing)
+    for _ in run_parallel(_build_one, tasks, min(workers, len(missing))):
         finished += 1
         if on_scene:
             on_scene(finished, config.scenes)
