@@ -102,3 +102,11 @@ def test_an_outline_lies_around_the_object(capture):
     # The label, in the outline's colour, stands above the box.
     low, high = pixels.min(axis=0) - [6, 30], pixels.max(axis=0) + 6
     assert ((drawn >= low) & (drawn <= high)).all()
+
+
+def test_confidence_is_shown_where_it_is_stated(tmp_path):
+    rows = [row.model_copy(update={"confidence": 0.9 if row.success else 0.2}) for row in make_rows("sure", 0.8)]
+    write_rows(tmp_path / "rows.jsonl", rows + make_rows("silent", 0.5))
+    assert "stated confidence" in write_report(tmp_path).read_text()
+    write_rows(tmp_path / "rows.jsonl", make_rows("silent", 0.5))
+    assert "stated confidence" not in write_report(tmp_path).read_text()

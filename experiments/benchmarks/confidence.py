@@ -4,13 +4,14 @@ toolkit dataset build train --scenes 60 --seed 0
 toolkit dataset build test --scenes 20 --seed 0 --objects ../shared/objects
 python experiments/benchmarks/confidence.py train test
 
-Every object gives its best hypothesis, and what would have been the best had the right ones been missing: wrong answers are
-too rare to learn from. The latter count as much as wrong answers are expected, 6 in 100.
+Every object gives its best hypothesis, and what would have been the best had the right ones been missing: wrong
+answers are too rare to learn from. The latter count as much as wrong answers are expected, 6 in 100.
 """
 
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,7 @@ def main() -> None:
     X, y, weight = collect(options.test)
     p = model.predict_proba(X)[:, 1]
     print("| confidence | samples | mean confidence | right |\n| --- | --- | --- | --- |")
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         rows = (p >= low) & (p < high)
         if rows.any():
             mean, share = (np.average(v[rows], weights=weight[rows]) for v in (p, y))

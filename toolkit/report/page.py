@@ -19,7 +19,7 @@ import yaml
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
 from toolkit.report.paper_figures import paper_medians
-from toolkit.report.plots import cell_colors, error_curves, success_by, time_by_stage
+from toolkit.report.plots import cell_colors, confidence_curves, error_curves, success_by, time_by_stage
 from toolkit.results import CellSummary, Estimate, Row, read_rows, summarize
 from toolkit.stats import holm, mcnemar, paired_difference
 
@@ -68,6 +68,7 @@ def write_report(run: Path) -> Path:
         curves=error_curves(rows, colors),
         by_count=success_by(rows, colors, lambda row: sizes[row.cell, row.scene_id], "objects in the scene"),
         by_symmetry=success_by(rows, colors, lambda row: row.symmetry, "symmetry of the object"),
+        confidences=confidence_curves(rows, colors),
         times=time_by_stage(summaries),
         comparisons=_compare(rows),
         hardest=_hardest(rows, best.cell),

@@ -17,6 +17,8 @@ from toolkit.stats import wilson_interval
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800", "#888888")
 
+_RELIABILITY_BINS = 8
+
 _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "toolkit",
     "svg.fonttype": "none",
@@ -89,6 +91,31 @@ def success_by(rows: Sequence[Row], colors: dict[str, str], key: Callable[[Row],
         axes.yaxis.set_major_formatter(PercentFormatter(1))
 
     return _svg(draw, (5, 3.6))
+
+
+def confidence_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
+    """Wrong answers against coverage, and right answers against stated confidence; empty where no cell states any."""
+    cells = {cell: [r for r in rows if r.cell == cell and r.status != "missed"] for cell in colors}
+    stated = {cell: own for cell, own in cells.items() if any(row.confidence is not None for row in own)}
+
+    def draw(figure: Figure) -> None:
+        risk, reliability = figure.subplots(1, 2)
+        for cell, own in stated.items():
+            sure = np.array([0.0 if row.confidence is None else row.confidence for row in own])
+            right = np.array([row.success_sym for row in own])
+            order = np.argsort(-sure, kind="stable")
+            answered = np.arange(1, len(own) + 1)
+            risk.plot(answered / len(own), np.cumsum(~right[order]) / answered, color=colors[cell], lw=2)
+            parts = [part for part in np.array_split(order[::-1], _RELIABILITY_BINS) if len(part)]
+            means = [(sure[part].mean(), right[part].mean()) for part in parts]
+            reliability.plot(*zip(*means, strict=True), "o-", color=colors[cell], lw=1.5)
+        reliability.plot([0, 1], [0, 1], color="#8a8f98", lw=1, ls=":")
+        risk.set(xlabel="objects answered, most confident first", ylabel="wrong among them", ylim=(0, None))
+        reliability.set(xlabel="stated confidence", ylabel="right", xlim=(0, 1.02), ylim=(0, 1.02))
+        for axis in (risk.xaxis, risk.yaxis, reliability.yaxis):
+            axis.set_major_formatter(PercentFormatter(1))
+
+    return _svg(draw, (10, 3.4)) if stated else ""
 
 
 def time_by_stage(summaries: Sequence[CellSummary]) -> str:
