@@ -40,7 +40,10 @@ def with_experiment_options(command: Callable[..., None]) -> Callable[..., None]
     """
     own = [p for name, p in inspect.signature(command, eval_str=True).parameters.items() if name != "choices"]
     options = dict.fromkeys(SLOTS, list[str]) | {"set": list[str], "plugin": list[Path]}
-    helps = {slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps." for slot in SLOTS} | {
+    helps = {
+        slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps instead of the experiment's own sweep."
+        for slot in SLOTS
+    } | {
         "set": "path.to.key=v1,v2; several values sweep.",
         "plugin": "A plugin file that is not installed.",
     }

@@ -124,7 +124,8 @@ def load_experiment(name_or_path: str, overrides: Mapping[str, Sequence[Any]] | 
 
     Args:
         name_or_path: `quick`, or `my/experiment.yaml`.
-        overrides: path -> values; one value replaces, several sweep.
+        overrides: path -> values; one value replaces, several sweep. Such a sweep takes the place of the file's own,
+            whose paths stay at their first value.
 
     Raises:
         ToolkitError: no such experiment, YAML that does not parse (file and line), unknown keys or wrong values.
@@ -136,6 +137,8 @@ def load_experiment(name_or_path: str, overrides: Mapping[str, Sequence[Any]] | 
             raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
         path = shipped[name_or_path]
     data = _read_yaml(path)
+    if any(len(values) > 1 for values in (overrides or {}).values()):
+        _drop_sweep(data)
     for key, values in (overrides or {}).items():
         _override(data, key, list(values))
     experiment = validated(Experiment, data, f"experiment '{path}'")
@@ -226,6 +229,14 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ToolkitError(f"experiment '{path}' must be a mapping with name, dataset and pipeline")
     return data
+
+
+def _drop_sweep(data: dict[str, Any]) -> None:
+    """Set every swept path to its first value."""
+    swept = data.pop("sweep", None)
+    for path, values in (swept if isinstance(swept, dict) else {}).items():
+        if isinstance(values, list) and values:
+            _assign(data, path, values[0])
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
