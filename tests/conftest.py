@@ -18,8 +18,9 @@ from toolkit.types import Camera, Capture
 
 @pytest.fixture(scope="session", autouse=True)
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One cache for the whole session, so that object sets and scenes are made once."""
-    root = tmp_path_factory.getbasetemp().parent / "toolkit-cache"
+    """One cache for the whole session, so that object sets and scenes are made once; xdist's workers share it."""
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "toolkit-cache"
     os.environ["TOOLKIT_CACHE"] = str(root)
     return root
 
