@@ -118,7 +118,7 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
     return path
 
 
-_COLORS = {"estimated": (40, 200, 90), "abstained": (240, 170, 40), "failed": (230, 60, 50)}
+_OUTLINE = (40, 200, 90)
 
 
 def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:
@@ -137,7 +137,7 @@ def overlay_picture(capture: Capture, database: Database, estimates: Sequence[Po
         if estimate.T_goal_current is None or estimate.instance is None:
             continue
         points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
-        outlines.append((str(estimate.goal_object), estimate.move(points), _COLORS[estimate.status]))
+        outlines.append((str(estimate.goal_object), estimate.move(points), _OUTLINE))
     return overlay(capture.goal, outlines)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -62,11 +62,6 @@ class FusedModel:
         """(3,) float64 middle of the points' axis-aligned box."""
         return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2, np.float64)
 
-    @property
-    def radius(self) -> float:
-        """Largest distance of a point from the centre, metres."""
-        return float(np.linalg.norm(self.points - self.center, axis=1).max())
-
 
 def fuse(database: Database, instance: int) -> FusedModel | Failure:
     """Join the regions of one instance: depth edges and outliers dropped, duplicates merged on a voxel grid.
@@ -125,7 +120,7 @@ class RefineTask:
     others: tuple[Segment, ...]
     instance: int
     models: Models
-    starts: tuple[Float, ...] = field(default=())
+    starts: tuple[Float, ...] = ()
 
 
 def _patch(frame: Frame, region: Region) -> Patch:

@@ -22,7 +22,7 @@ from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.experiment import create_stage, expand, load_experiment, own_settings
 from toolkit.fusion import FusedModel, Models
-from toolkit.metrics import pose_error
+from toolkit.metrics import PoseError, pose_error
 from toolkit.pipeline import Pipeline, Stages
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.compare import compare
@@ -55,10 +55,15 @@ def samples(capture_folder: Path) -> list[list[float]]:
         found = compare(Cloud(model, LEVELS_PX), goal, (), RenderCompare().search())
         errors = [pose_error(h.T_goal_current, capture.truth[i]) for h in found]
         rows.append([*features(found), float(errors[0].success_sym)])
-        wrong = [h for h, e in zip(found, errors, strict=True) if e.rotation_error_deg_sym > 10]
+        wrong = [h for h, e in zip(found, errors, strict=True) if not _near(e)]
         if 0 < len(wrong) < len(found):
             rows.append([*features(wrong), 0.0])
     return rows
+
+
+def _near(error: PoseError) -> bool:
+    """Neither right nor clearly wrong answers teach anything as wrong ones."""
+    return error.rotation_error_deg_sym < 10 and error.translation_error_cm_sym < 3
 
 
 def _shows(database, row: int, instance: int) -> bool:

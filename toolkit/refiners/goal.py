@@ -32,14 +32,12 @@ class GoalView:
         mask: (H, W) bool, the object.
         grid: for `render.score_poses`.
         image: for `align.align`.
-        scale: crop pixels a goal pixel.
     """
 
     frame: Frame
     mask: Mask
     grid: GoalGrid
     image: GoalImage
-    scale: float
 
 
 def view_goal(frame: Frame, segment: Segment, others: Sequence[Segment]) -> GoalView:
@@ -48,8 +46,7 @@ def view_goal(frame: Frame, segment: Segment, others: Sequence[Segment]) -> Goal
     for other in others:
         hidden |= other.mask
     hidden &= ~segment.mask
-    image, scale = _image(frame, segment, hidden)
-    return GoalView(frame, segment.mask, _grid(frame, segment, hidden), image, scale)
+    return GoalView(frame, segment.mask, _grid(frame, segment, hidden), _image(frame, segment, hidden))
 
 
 def _square(segment: Segment, margin: float) -> tuple[Float, float]:
@@ -84,7 +81,7 @@ def _resampled(image: Float | Image | Mask, origin: Float, scale: float, size: i
     return np.asarray(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR), np.float32)
 
 
-def _image(frame: Frame, segment: Segment, hidden: Mask) -> tuple[GoalImage, float]:
+def _image(frame: Frame, segment: Segment, hidden: Mask) -> GoalImage:
     origin, side = _square(segment, _CROP_MARGIN)
     scale = min(1.0, _CROP_PX / side)
     # At natural size the crop keeps the pixel grid: nothing is interpolated.
@@ -103,7 +100,7 @@ def _image(frame: Frame, segment: Segment, hidden: Mask) -> tuple[GoalImage, flo
     K[:2, 2] += 0.5 * scale - start * scale - 0.5
     T = invert(frame.camera.T_world_camera)
     arrays = (values, outside, _padded(contour), _padded(normals), weight, K, T[:3, :3], T[:3, 3])
-    return GoalImage(*(jnp.asarray(array, jnp.float32) for array in arrays)), scale
+    return GoalImage(*(jnp.asarray(array, jnp.float32) for array in arrays))
 
 
 def _outline(mask: Mask, covered: Mask, frame: Frame, origin: Float, scale: float) -> tuple[Float, Float]:

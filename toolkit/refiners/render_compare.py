@@ -71,9 +71,9 @@ class ImageRefiner(Plugin):
             self._clouds[model] = Cloud(model, LEVELS_PX)
         cloud = self._clouds[model]
         found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
-        return self._answer(found) if found else Failure("refiner", "no hypothesis stayed finite")
+        return self._answer(found, search.free) if found else Failure("refiner", "no hypothesis stayed finite")
 
-    def _answer(self, found: list[Hypothesis]) -> Refined | Failure:
+    def _answer(self, found: list[Hypothesis], free: Float) -> Refined | Failure:
         """Of those that look the same as the best, the one that moves the object least."""
         alike = [h for h in found if h.score >= found[0].score - self.config.same_score]
         alike.sort(key=lambda h: rotation_angle(h.T_goal_current[:3, :3]))
@@ -85,7 +85,7 @@ class ImageRefiner(Plugin):
             best.T_goal_current,
             sure,
             np.stack([h.T_goal_current for h in alike]),
-            _covariance(best.information, self.search().free),
+            _covariance(best.information, free),
         )
 
 
