@@ -11,15 +11,27 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
+from toolkit.geometry import invert, look_at, project, rotation_z, transform_points
 from toolkit.stages import PNP
-from toolkit.types import Correspondences, Failure, PnPSolution
+from toolkit.types import Camera, Correspondences, Failure, PnPSolution
 
 BENCHMARK = runpy.run_path(str(Path(__file__).parents[1] / "experiments" / "benchmarks" / "pnp.py"))
-K, make_problem, pose_error = BENCHMARK["K"], BENCHMARK["make_problem"], BENCHMARK["pose_error"]
+K, CAMERA, make_problem, pose_error = (BENCHMARK[name] for name in ("K", "CAMERA", "make_problem", "pose_error"))
 SETTINGS = {"reprojection_px": 3.0}
-SOLVERS = {name: PNP.create(name, SETTINGS) for name in PNP.names()}
+PRIORS = ("planar", "none")
+CENTER = np.array([0.2, 0.1, 0.06])
+
+
+def create(name, **settings):
+    """A solver that makes no assumption about the motion."""
+    free = {"prior": "none"} if name == "jax_joint" else {}
+    return PNP.create(name, {**SETTINGS, **free, **settings})
+
+
+SOLVERS = {name: create(name) for name in PNP.names()}
 
 
 @pytest.fixture(params=PNP.names())
@@ -34,7 +46,7 @@ def solve(solver, problem, seed=0):
 
 
 def correspondences(points, pixels):
-    return Correspondences(points, pixels, np.ones(len(points)), K)
+    return Correspondences(points, pixels, np.ones(len(points)), CAMERA)
 
 
 def failure(solver, points, pixels):
@@ -79,6 +91,8 @@ def test_planar_points_with_outliers(solver):
 
 def test_the_least_error_is_reached(solver):
     """The poses of all solvers are the same minimum, not only equally far from the truth."""
+    if solver.name == "jax_joint":
+        pytest.skip("a soft weight has another minimum than least squares on the inliers")
     for seed in range(10):
         problem = make_problem(np.random.default_rng(seed), 90, outliers=0.4)
         ours, reference = solve(solver, problem), solve(SOLVERS["poselib"], problem)
@@ -94,8 +108,8 @@ def test_the_least_error_is_reached(solver):
     centre=st.tuples(st.floats(100, 900), st.floats(100, 600)),
 )
 def test_any_pose_and_camera(solver, seed, n, focal, centre):
-    camera = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
-    problem = make_problem(np.random.default_rng(seed), n, noise_px=0.0, intrinsics=camera)
+    K = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
+    problem = make_problem(np.random.default_rng(seed), n, noise_px=0.0, camera=Camera(K, np.eye(4), 1000, 700))
     answer = solve(solver, problem, seed)
     degrees, millimetres = pose_error(answer.T_camera_world, problem.T, problem.centre)
     assert degrees < 1e-4
@@ -106,7 +120,7 @@ def test_the_same_seed_gives_the_same_bytes(solver):
     problems = [make_problem(np.random.default_rng(seed), 100, outliers=0.7) for seed in range(5)]
     first = [solve(solver, problem, seed=2**40 + 7) for problem in problems]
     # A fresh instance, in another order: nothing is carried from one solve to the next.
-    again = [solve(PNP.create(solver.name, SETTINGS), problem, seed=2**40 + 7) for problem in reversed(problems)][::-1]
+    again = [solve(create(solver.name), problem, seed=2**40 + 7) for problem in reversed(problems)][::-1]
     for a, b in zip(first, again, strict=True):
         assert a.T_camera_world.tobytes() == b.T_camera_world.tobytes()
         assert a.inliers.tobytes() == b.inliers.tobytes()
@@ -235,3 +249,69 @@ def test_benchmark_prints_its_tables(capsys):
     printed = capsys.readouterr().out
     assert all(name in printed for name in PNP.names())
     assert "same verdict" in printed
+
+
+def on_table(seed, n=40, outliers=0.0, noise_px=0.3):
+    """A box of points that turned about the vertical and slid on the table, and the true motion."""
+    rng = np.random.default_rng(seed)
+    camera = Camera(K, look_at(np.array([0.1, -0.8, 0.7]), np.zeros(3)), 640, 480)
+    points = rng.uniform(-0.05, 0.05, (n, 3)) + CENTER
+    motion = rotation_z(rng.uniform(-np.pi, np.pi))
+    motion[:2, 3] = rng.uniform(-0.1, 0.1, 2) - (motion[:3, :3] @ CENTER)[:2]
+    pixels, _ = project(K, invert(camera.T_world_camera), transform_points(motion, points))
+    pixels += noise_px * rng.standard_normal((n, 2))
+    wrong = rng.permutation(n)[: round(outliers * n)]
+    pixels[wrong] = rng.uniform(pixels.min(axis=0), pixels.max(axis=0), (len(wrong), 2))
+    return Correspondences(points, pixels, np.ones(n), camera), motion
+
+
+def planar_error(problem, solution, motion):
+    """Turn in radians and shift of the points' mean in metres, (6,), as the covariance counts them."""
+    found = problem.camera.T_world_camera @ solution.T_camera_world
+    center = problem.points.mean(axis=0)
+    turn = Rotation.from_matrix(found[:3, :3] @ motion[:3, :3].T).as_rotvec()
+    return np.concatenate([turn, transform_points(found, center) - transform_points(motion, center)])
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.5, 0.8])
+def test_on_the_table_two_points_are_enough(outliers):
+    joint = create("jax_joint", prior="planar")
+    for seed in range(10):
+        problem, motion = on_table(seed, n=100, outliers=outliers)
+        error = planar_error(problem, joint.solve(problem, seed), motion)
+        np.testing.assert_allclose(error[[0, 1, 5]], 0, atol=1e-9)
+        assert abs(error[2]) < np.radians(1) and np.linalg.norm(error[3:]) < 0.002
+
+
+def test_the_prior_makes_a_pose_more_certain():
+    problem, _ = on_table(0, n=12)
+    planar, free = (create("jax_joint", prior=prior).solve(problem, 0) for prior in PRIORS)
+    assert (np.diag(planar.covariance)[[2, 3, 4]] < np.diag(free.covariance)[[2, 3, 4]]).all()
+    assert (np.diag(planar.covariance)[[0, 1, 5]] == 0).all() and (np.diag(free.covariance) > 0).all()
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+def test_the_covariance_says_how_far_off_the_pose_is(prior):
+    """Squared errors in units of their stated covariance follow chi-square: mean = degrees of freedom."""
+    joint = create("jax_joint", prior=prior)
+    rows = [2, 3, 4] if prior == "planar" else list(range(6))
+    ratios = []
+    for seed in range(80):
+        problem, motion = on_table(seed)
+        solution = joint.solve(problem, seed)
+        error = planar_error(problem, solution, motion)[rows]
+        ratios.append(error @ np.linalg.solve(solution.covariance[np.ix_(rows, rows)], error))
+    assert 0.6 * len(rows) < np.mean(ratios) < 1.6 * len(rows)
+
+
+def test_certain_matches_outvote_uncertain_ones():
+    """Two consistent motions in one problem: the one whose matches score higher wins, though it has fewer."""
+    (a, motion), (b, _) = on_table(1, n=30), on_table(2, n=40)
+    problem = Correspondences(
+        np.concatenate([a.points, b.points]),
+        np.concatenate([a.pixels, b.pixels]),
+        np.concatenate([np.full(30, 0.9), np.full(40, 0.2)]),
+        a.camera,
+    )
+    error = planar_error(problem, create("jax_joint", prior="planar").solve(problem, 0), motion)
+    assert np.linalg.norm(error[3:]) < 0.005

@@ -14,6 +14,7 @@ from toolkit.assignment import assign_instances, restrict
 from toolkit.evaluate import score
 from toolkit.fusion import FusedModel, Models, RefineTask, fuse
 from toolkit.geometry import make_transform, rotation_angle, rotation_z
+from toolkit.jax_geometry import rotation_exp
 from toolkit.metrics import pose_error
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
 from toolkit.refiners import align as alignment
@@ -122,7 +123,7 @@ def test_the_gauss_newton_gradient_is_the_derivative(tasks):
         step[k] = 1e-3
 
         def moved(sign, step=step):
-            turn = alignment._exp(jnp.asarray(sign * step[:3])) @ R
+            turn = rotation_exp(jnp.asarray(sign * step[:3])) @ R
             place = jnp.asarray(cloud.center, jnp.float32) + sign * step[3:]
             return alignment._project(source.points @ turn.T + place, goal.image)[0]
 

@@ -54,12 +54,12 @@ def test_a_segment_has_a_pixel_and_a_tight_box():
     assert Segment(mask).bbox_xyxy == (7, 2, 10, 4)
 
 
-def test_matches_and_correspondences_check_their_shapes():
+def test_matches_and_correspondences_check_their_shapes(camera):
     assert len(Matches.empty()) == 0
     with pytest.raises(ToolkitError, match="reference_xy"):
         Matches(np.zeros((2, 2)), np.zeros((3, 2)), np.zeros(2))
     with pytest.raises(ToolkitError, match="finite"):
-        Correspondences(np.full((1, 3), np.inf), np.zeros((1, 2)), np.ones(1), np.eye(3))
+        Correspondences(np.full((1, 3), np.inf), np.zeros((1, 2)), np.ones(1), camera)
 
 
 def test_an_estimate_is_a_motion_or_a_failure_and_never_both():

@@ -13,7 +13,7 @@ from toolkit.database import Database
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, project
-from toolkit.metrics import assign_goal_objects, pose_error, symmetry_of
+from toolkit.metrics import assign_goal_objects, counterparts, pose_error, symmetry_of
 from toolkit.pictures import correspondences, overlay
 from toolkit.results import Row
 from toolkit.types import Capture, Float, PoseEstimate, TrueObject
@@ -39,9 +39,11 @@ def score(
     if capture.truth is None or capture.goal.true_masks is None:
         raise ToolkitError(f"capture {capture.name} has no ground truth to score against")
     answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks)
+    answered = {i: estimates[position] for i, position in answers.items()}
+    motions = {i: e.T_goal_current for i, e in answered.items() if e.T_goal_current is not None}
     rows: list[Row] = []
-    for instance_id, truth in sorted(capture.truth.items()):
-        estimate = estimates[answers[instance_id]] if instance_id in answers else None
+    for instance_id, truth in sorted(counterparts(motions, capture.truth).items()):
+        estimate = answered.get(instance_id)
         rows.append(
             Row(
                 cell=cell,
@@ -106,6 +108,7 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
                 "status": estimate.status,
                 "T_goal_current": None if motion is None else motion.tolist(),
                 "confidence": estimate.confidence,
+                "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
                 "equivalents": None if estimate.equivalents is None else estimate.equivalents.tolist(),
                 "stage": failure.stage if failure else None,
                 "reason": failure.reason if failure else None,

@@ -6,7 +6,7 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import lift
-from toolkit.types import Correspondences, Crop, Float, Frame, Mask, Matches
+from toolkit.types import Camera, Correspondences, Crop, Float, Frame, Mask, Matches
 
 _MAX_DEPTH_STEP_M = 0.01
 """Neighbouring pixels further apart than this lie on different surfaces: interpolating would invent a point."""
@@ -45,7 +45,9 @@ def lift_pixels(frame: Frame, mask: Mask, xy: Float) -> tuple[Float, Mask]:
     return lift(frame.camera.K, frame.camera.T_world_camera, xy, 1.0 / inverse), kept
 
 
-def lift_matches(matches: Matches, query: Crop, reference: Crop, frame: Frame, mask: Mask, K: Float) -> Correspondences:
+def lift_matches(
+    matches: Matches, query: Crop, reference: Crop, frame: Frame, mask: Mask, camera: Camera
+) -> Correspondences:
     """Turn matches between a goal crop and a candidate crop into 2D-3D correspondences (M_3D).
 
     Args:
@@ -54,10 +56,10 @@ def lift_matches(matches: Matches, query: Crop, reference: Crop, frame: Frame, m
         reference: the candidate crop.
         frame: the current frame the candidate was cut from.
         mask: (H, W) bool, the candidate's mask in that frame.
-        K: (3, 3) intrinsics of the goal camera.
+        camera: the goal camera.
     """
     points, kept = lift_pixels(frame, mask, reference.to_image(matches.reference_xy))
-    return Correspondences(points[kept], query.to_image(matches.query_xy)[kept], matches.scores[kept], K)
+    return Correspondences(points[kept], query.to_image(matches.query_xy)[kept], matches.scores[kept], camera)
 
 
 def merge(parts: list[Correspondences]) -> Correspondences:
@@ -66,5 +68,5 @@ def merge(parts: list[Correspondences]) -> Correspondences:
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.pixels for part in parts]),
         np.concatenate([part.weights for part in parts]),
-        parts[0].K,
+        parts[0].camera,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -53,6 +53,40 @@ def pose_error(T_goal_current: Float, truth: TrueObject) -> PoseError:
         for S in [discrete, *_best_continuous(T_goal_current, truth, discrete)]
     ]
     return PoseError(*plain, *min(symmetric))
+
+
+def counterparts(motions: Mapping[int, Float], truth: Mapping[int, TrueObject]) -> dict[int, TrueObject]:
+    """What every goal object is scored against.
+
+    Objects of one model are interchangeable: any of them may go to any of their goal places, but each to one only. Of
+    all such pairings the one under which most motions are right is taken; every other object stands for itself.
+
+    Args:
+        motions: (4, 4) estimated motions by instance id of the goal object; objects without one are left out.
+        truth: true objects by instance id.
+    """
+    kinds: dict[int, list[int]] = {}
+    for i, true in truth.items():
+        kinds.setdefault(true.model.object_id, []).append(i)
+    paired = dict(truth)
+    for ids in kinds.values():
+        if len(ids) == 1:
+            continue
+        moved = {(i, j): replace(truth[i], T_world_current=truth[j].T_world_current) for i in ids for j in ids}
+        costs = [[_cost(motions.get(i), moved[i, j], stays=i == j) for j in ids] for i in ids]
+        rows, columns = linear_sum_assignment(costs)
+        paired |= {ids[r]: moved[ids[r], ids[c]] for r, c in zip(rows, columns, strict=True)}
+    return paired
+
+
+def _cost(motion: Float | None, truth: TrueObject, *, stays: bool) -> float:
+    """Nothing for a right motion, 1 for a wrong one; among equals, less for what stays and for what is nearer."""
+    if motion is None:
+        return 1.0 if stays else 1.001
+    error = pose_error(motion, truth)
+    return (0.0 if error.success_sym else 1.0) + 1e-3 * error.translation_error_cm_sym / (
+        1 + error.translation_error_cm_sym
+    )
 
 
 def _errors(T_goal_current: Float, truth: TrueObject, S: Float) -> tuple[float, float]:

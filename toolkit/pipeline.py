@@ -213,6 +213,7 @@ class Pipeline:
             failure=None,
             confidence=refined.confidence,
             equivalents=refined.equivalents,
+            covariance=refined.covariance,
         )
 
     def _search(self, references: _References, goal: Frame, segment: Segment, ranking: np.ndarray) -> _Search:
@@ -232,7 +233,7 @@ class Pipeline:
             for row, found in zip(rows, matches, strict=True):
                 region = database.regions[row]
                 lifted = lift_matches(
-                    found, query_crop, references.crops[row], database.frame_of(row), region.segment.mask, goal.camera.K
+                    found, query_crop, references.crops[row], database.frame_of(row), region.segment.mask, goal.camera
                 )
                 search.most_matches = max(search.most_matches, len(lifted))
                 if len(lifted) >= self.settings.min_matches and self._acceptable(lifted):
@@ -268,6 +269,7 @@ class Pipeline:
             goal.camera.T_world_camera @ solution.T_camera_world,
             correspondences=problem,
             inliers=solution.inliers,
+            covariance=solution.covariance,
             candidates=candidates,
         )
 

@@ -182,6 +182,7 @@ PNP: Registry[PnP] = Registry(
         "opencv_sqpnp": "toolkit.pnp.opencv:OpenCVSQPnP",
         "poselib": "toolkit.pnp.poselib:PoseLib",
         "jax_ransac": "toolkit.pnp.jax_ransac:JaxRansac",
+        "jax_joint": "toolkit.pnp.jax_joint:JaxJoint",
     },
 )
 REFINERS: Registry[Refiner] = Registry(

@@ -237,13 +237,13 @@ class Correspondences:
         points: (N, 3) float64, metres, in the world of the current scene.
         pixels: (N, 2) float64, in the goal image.
         weights: (N,) float64 in 0..1, the matches' scores.
-        K: (3, 3) float64, the goal camera's intrinsics.
+        camera: the goal camera; its pose is what a prior about the table is stated in.
     """
 
     points: Float
     pixels: Float
     weights: Float
-    K: Float
+    camera: Camera
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -253,6 +253,11 @@ class Correspondences:
         finite = all(bool(np.isfinite(a).all()) for a in (self.points, self.pixels, self.weights))
         _require(finite, "correspondences must be finite")
         _freeze(self, points=self.points, pixels=self.pixels, weights=self.weights)
+
+    @property
+    def K(self) -> Float:
+        """(3, 3) float64 intrinsics of the goal camera, pixels."""
+        return self.camera.K
 
     def __len__(self) -> int:
         return len(self.points)
@@ -301,14 +306,19 @@ class PnPSolution:
     Attributes:
         T_camera_world: (4, 4) float64 that takes the correspondences' points into the goal camera.
         inliers: (N,) bool.
+        covariance: (6, 6) float64 of (turn, shift) in the goal's world about the points' mean, rad^2 and m^2; rows and
+            columns of what was held fixed are 0. None where the solver gives none.
     """
 
     T_camera_world: Float
     inliers: Mask
+    covariance: Float | None = None
 
     def __post_init__(self) -> None:
         _require(is_rigid(self.T_camera_world), "a PnP solution must be a rigid transform")
         _freeze(self, T_camera_world=self.T_camera_world, inliers=self.inliers)
+        if self.covariance is not None:
+            _freeze(self, covariance=self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,6 +333,7 @@ class PoseEstimate:
         failure: why there is no motion, or None.
         confidence: 0..1, or None where the pipeline gives none.
         equivalents: (E, 4, 4) float64 motions that look the same, this one the first; None where that was not asked.
+        covariance: (6, 6) float64 of (turn, shift) in the goal's world, or None (`Refined`, `PnPSolution`).
         correspondences: what the pose was solved from, or None.
         inliers: (N,) bool over the correspondences, or None.
         candidates: (database row, number of correspondences) of every accepted candidate, in the order in which the
@@ -339,6 +350,7 @@ class PoseEstimate:
     failure: Failure | None = None
     confidence: float | None = None
     equivalents: Float | None = None
+    covariance: Float | None = None
     correspondences: Correspondences | None = None
     inliers: Mask | None = None
     candidates: tuple[tuple[int, int], ...] = ()

@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import make_transform, project, rotation_angle, transform_points
 from toolkit.stages import PNP, PnP
-from toolkit.types import Correspondences, Failure, Float, PnPSolution
+from toolkit.types import Camera, Correspondences, Failure, Float, PnPSolution
 
 K = np.array([[616.0, 0.0, 320.0], [0.0, 616.0, 240.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(K, np.eye(4), 640, 480)
 OBJECT_M, DISTANCE_M, NOISE_PX = 0.10, 0.8, 0.5
 REPROJECTION_PX = 3.0
 """Far above the noise, so that all solvers see the same inliers and their poses can be compared."""
@@ -59,7 +60,7 @@ def make_problem(
     outliers: float = 0.0,
     noise_px: float = NOISE_PX,
     planar: bool = False,
-    intrinsics: Float = K,
+    camera: Camera = CAMERA,
 ) -> Problem:
     """A box of points in a random pose before the camera; outliers fall anywhere in the object's image."""
     centre = rng.uniform(-0.5, 0.5, 3)
@@ -68,12 +69,12 @@ def make_problem(
     T = make_transform(R, in_camera - R @ centre)
     local = rng.uniform(-OBJECT_M / 2, OBJECT_M / 2, (n, 3)) * ([1, 1, 0] if planar else [1, 1, 1])
     points = local + centre
-    pixels, _ = project(intrinsics, T, points)
+    pixels, _ = project(camera.K, T, points)
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     pixels = pixels + noise_px * rng.standard_normal((n, 2))
     wrong = rng.permutation(n)[: round(outliers * n)]
     pixels[wrong] = rng.uniform(low, high, (len(wrong), 2))
-    return Problem(Correspondences(points, pixels, np.ones(n), intrinsics), T, centre)
+    return Problem(Correspondences(points, pixels, np.ones(n), camera), T, centre)
 
 
 def pose_error(T: Float, T_true: Float, centre: Float) -> tuple[float, float]:

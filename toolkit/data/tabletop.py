@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from toolkit.data import noise
 from toolkit.data.bop import write_capture
 from toolkit.data.layout import Placement, RestingObject, arrange, resting_poses
+from toolkit.data.lookalikes import Lookalikes, with_lookalikes
 from toolkit.data.objects import ObjectAsset, ObjectSet
 from toolkit.data.table import table_files
 from toolkit.errors import ToolkitError
@@ -62,6 +63,9 @@ class TabletopConfig(PluginConfig):
     poses: Literal["upright", "stable"] = Field(
         "upright", description="Natural resting pose; or another stable one in the goal than now (6-DoF motions)."
     )
+    lookalikes: Lookalikes = Field(
+        "none", description="Every second object is the one before it once more: the same, or in other colours."
+    )
     clearance_m: float = Field(0.01, ge=0, description="Least gap between objects.")
     renderer: Renderer = Field(
         default_factory=best_renderer,
@@ -92,7 +96,7 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
     Raises:
         ToolkitError: there are fewer objects than asked for, or the table does not hold them.
     """
-    scene = _draw(config, objects, number)
+    scene = _draw(config, objects, number, cache)
     truth = {i: TrueObject(asset.model, scene.current[i], scene.goal[i], i) for i, asset in enumerate(scene.assets)}
     noise_rng = _generator(config, number, "noise")
     home = home_camera(config)
@@ -140,7 +144,7 @@ def _generator(config: TabletopConfig, number: int, purpose: str) -> np.random.G
     return np.random.default_rng(np.random.SeedSequence([config.seed, number, *purpose.encode()]))
 
 
-def _draw(config: TabletopConfig, objects: ObjectSet, number: int) -> _Scene:
+def _draw(config: TabletopConfig, objects: ObjectSet, number: int, cache: Path) -> _Scene:
     rng = _generator(config, number, "layout")
     most = config.max_objects
     if config.min_objects > most:
@@ -149,7 +153,7 @@ def _draw(config: TabletopConfig, objects: ObjectSet, number: int) -> _Scene:
         raise ToolkitError(f"dataset: max_objects is {most}, but '{objects.name}' has {len(objects.assets)} objects")
     count = int(rng.integers(config.min_objects, most + 1))
     chosen = sorted(rng.choice(len(objects.assets), count, replace=False).tolist())
-    assets = tuple(objects.assets[i] for i in chosen)
+    assets = with_lookalikes([objects.assets[i] for i in chosen], config.lookalikes, cache)
     rests = [_rests(asset) for asset in assets]
     now = [rest[0] for rest in rests]
     then = [_other(rest, rng) for rest in rests] if config.poses == "stable" else now

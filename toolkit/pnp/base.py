@@ -36,6 +36,10 @@ class RobustPnP(Plugin):
         """Return a (4, 4) T_camera_world that may be wrong or not finite, or None when none was found."""
         raise NotImplementedError
 
+    def covariance(self, problem: Correspondences, T_camera_world: Float) -> Float | None:
+        """Return the (6, 6) covariance of a pose (`PnPSolution`), where the solver knows it."""
+        return None
+
     def solve(self, problem: Correspondences, seed: int) -> PnPSolution | Failure:
         """Return the checked pose and its inliers, or a Failure that says why there is none.
 
@@ -49,7 +53,7 @@ class RobustPnP(Plugin):
             return Failure(self.stage, "no pose agrees with the correspondences")
         inliers, depth = reprojection_inliers(problem, T, self.config.reprojection_px)
         reason = pose_fault(problem, inliers, depth, self.config)
-        return Failure(self.stage, reason) if reason else PnPSolution(T, inliers)
+        return Failure(self.stage, reason) if reason else PnPSolution(T, inliers, self.covariance(problem, T))
 
 
 def problem_fault(problem: Correspondences, config: PnPConfig) -> str | None:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from toolkit.jax_geometry import rotation_exp
 from toolkit.pnp.p3p import p3p
 
 _OPTIMISED = 8
@@ -160,11 +161,4 @@ def _gauss_newton(problem: Problem, pose: Pose, threshold: Array, damping: Array
     # The tiny constant keeps the system solvable where no point is an inlier.
     normal = normal + jnp.diag(damping * jnp.diagonal(normal) + 1e-12)
     step = -jnp.linalg.solve(normal, J @ jnp.where(inlier, residuals, 0.0).ravel())
-    return Pose(_rotation(step[:3]) @ pose.R, pose.t + step[3:]), _total(problem, squared, inlier, threshold)
-
-
-def _rotation(w: Array) -> Array:
-    """(3, 3) rotation exp([w]_x) (Rodrigues), safe at zero."""
-    angle = jnp.linalg.norm(w)
-    W = jnp.cross(w, jnp.eye(3), axisb=0, axisc=0)
-    return jnp.eye(3) + jnp.sinc(angle / jnp.pi) * W + 0.5 * jnp.sinc(angle / (2 * jnp.pi)) ** 2 * (W @ W)
+    return Pose(rotation_exp(step[:3]) @ pose.R, pose.t + step[3:]), _total(problem, squared, inlier, threshold)

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from toolkit.geometry import make_transform
 from toolkit.pnp.base import RobustPnP
 from toolkit.pnp.consensus import Problem, polish, search
-from toolkit.types import Correspondences, Float, Mask
+from toolkit.pnp.padding import SMALLEST, pad_rows
+from toolkit.types import Correspondences, Float
 
 _HYPOTHESES = 256
 """Minimal samples of one round."""
-_SEARCHED = 128
+_SEARCHED = SMALLEST
 """Correspondences that hypotheses are drawn from and scored on: a random part when there are more, padding when there
 are fewer, so that the search, the long compilation, has one shape. The polish uses all correspondences."""
-_BUCKETS = tuple(_SEARCHED * 4**k for k in range(8))
-"""Padded sizes of the polish; padding costs it little, a further compilation costs a second."""
 
 
 class JaxRansac(RobustPnP):
@@ -43,7 +42,7 @@ class JaxRansac(RobustPnP):
 
         def padded(points: Float, rays: Float) -> Problem:
             valid, threshold = np.ones(len(points), bool), jnp.asarray(self.config.reprojection_px)
-            return Problem(_pad(points), _pad(rays), _pad(valid), jnp.asarray(focal), threshold)
+            return Problem(pad_rows(points), pad_rows(rays), pad_rows(valid), jnp.asarray(focal), threshold)
 
         with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
             pose, cost = search(
@@ -65,11 +64,3 @@ def _draw_samples(n: int, iterations: int, rng: np.random.Generator) -> NDArray[
     third += third >= low
     third += third >= high
     return np.stack([first, second, third], axis=-1)
-
-
-def _pad(rows: Float | Mask) -> jax.Array:
-    """Fill up with zeros to the next bucket."""
-    size = next((bucket for bucket in _BUCKETS if bucket >= len(rows)), len(rows))
-    padded = np.zeros((size, *rows.shape[1:]), rows.dtype)
-    padded[: len(rows)] = rows
-    return jnp.asarray(padded)

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from toolkit.jax_geometry import rotation_exp
+
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
 
@@ -99,7 +101,7 @@ def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: ja
         damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free))
         delta = -jnp.linalg.solve(damped, g)
         turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
-        return _exp(turn) @ R, t + shift
+        return rotation_exp(turn) @ R, t + shift
 
     turn, place = R, t
     for level in range(levels):
@@ -205,11 +207,3 @@ def _sample(image: jax.Array, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.
 
 def _clipped(step: jax.Array, most: float) -> jax.Array:
     return step * jnp.minimum(1.0, most / jnp.maximum(jnp.linalg.norm(step), 1e-12))
-
-
-def _exp(turn: jax.Array) -> jax.Array:
-    """(3, 3) rotation of a rotation vector (Rodrigues)."""
-    angle = jnp.sqrt((turn**2).sum() + 1e-20)
-    x, y, z = turn / angle
-    K = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return jnp.eye(3) + jnp.sin(angle) * K + (1 - jnp.cos(angle)) * (K @ K)

@@ -19,6 +19,7 @@ from toolkit.refiners.render import Score, score_poses
 from toolkit.types import Float
 
 _PLACINGS = 4
+_ANCHORS = np.array([[0.5, 0.5], *([x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5))])
 _PLACED_POINTS = 256
 _DISTINCT_RAD, _DISTINCT_M = np.radians(8), 0.01
 """Refined hypotheses closer than this are one."""
@@ -131,22 +132,26 @@ def _first_guesses(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search
     places = np.array([place for _, place in given]).reshape(-1, 3)
     if not len(search.rotations):
         return turns, places
-    on_table = _placed(cloud, goal, search.rotations)
-    total = np.asarray(_agreement(cloud, goal, search.rotations, on_table).total)
-    rows = _peaks(total, search.rotations, search.kept - len(given))
-    return np.concatenate([turns, search.rotations[rows]]), np.concatenate([places, on_table[rows]])
+    # Of an object that is partly covered, the box says where some of its sides are, but not which.
+    anchors = _ANCHORS if goal.cut_off else _ANCHORS[:1]
+    rotations = np.tile(search.rotations, (len(anchors), 1, 1))
+    on_table = np.concatenate([_placed(cloud, goal, search.rotations, anchor) for anchor in anchors])
+    total = np.asarray(_agreement(cloud, goal, rotations, on_table).total)
+    rows = _peaks(total, rotations, search.kept - len(given))
+    return np.concatenate([turns, rotations[rows]]), np.concatenate([places, on_table[rows]])
 
 
-def _placed(cloud: Cloud, goal: GoalView, R: Float) -> Float:
+def _placed(cloud: Cloud, goal: GoalView, R: Float, anchor: Float) -> Float:
     """(B, 3) places of the centre that put the model, turned by (B, 3, 3) R, on the table and over the mask.
 
     Closed form and repeated: the offset between the boxes of the projected model and of the mask, taken back to the
-    table's plane. The model's lowest point stays as high as it is now.
+    table's plane. The model's lowest point stays as high as it is now. The (2,) `anchor` says which points of the two
+    boxes shall meet: 0 their left or upper sides, 1 their right or lower ones.
     """
     camera = goal.frame.camera
     T = invert(camera.T_world_camera)
     y, x = np.nonzero(goal.mask)
-    target = np.array([x.min() + x.max(), y.min() + y.max()]) / 2
+    target = (1 - anchor) * [x.min(), y.min()] + anchor * [x.max(), y.max()]
     turned = cloud.points[:_PLACED_POINTS].astype(np.float64) @ np.swapaxes(R, 1, 2)
     floor = cloud.center[2] + cloud.points[:, 2].min()
     heights = floor - turned[..., 2].min(axis=1)
@@ -157,7 +162,7 @@ def _placed(cloud: Cloud, goal: GoalView, R: Float) -> Float:
     for _ in range(_PLACINGS):
         seen = (turned + t[:, None]) @ T[:3, :3].T + T[:3, 3]
         pixels = seen[..., :2] / seen[..., 2:] * focal + camera.K[:2, 2]
-        offset = target - (pixels.min(axis=1) + pixels.max(axis=1)) / 2
+        offset = target - (1 - anchor) * pixels.min(axis=1) - anchor * pixels.max(axis=1)
         center = t @ T[:3, :3].T + T[:3, 3]
         derivative = np.zeros((len(R), 2, 3))
         derivative[:, [0, 1], [0, 1]] = focal / center[:, 2:]

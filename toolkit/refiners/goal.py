@@ -21,6 +21,7 @@ LEVELS_PX = (2.5, 1.2, 0.6)
 _CROP_PX = 192
 _CONTOUR = 128
 _GRID_MARGIN, _CROP_MARGIN = 0.25, 0.25
+_CUT_OFF_SHARE = 0.08
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,14 @@ class GoalView:
     Attributes:
         frame: the goal image.
         mask: (H, W) bool, the object.
+        cut_off: whether much of the outline is where another object or the image's border ends what is seen.
         grid: for `render.score_poses`.
         image: for `align.align`.
     """
 
     frame: Frame
     mask: Mask
+    cut_off: bool
     grid: GoalGrid
     image: GoalImage
 
@@ -46,7 +49,17 @@ def view_goal(frame: Frame, segment: Segment, others: Sequence[Segment]) -> Goal
     for other in others:
         hidden |= other.mask
     hidden &= ~segment.mask
-    return GoalView(frame, segment.mask, _grid(frame, segment, hidden), _image(frame, segment, hidden))
+    cut_off = _cut_off(segment.mask, hidden) > _CUT_OFF_SHARE
+    return GoalView(frame, segment.mask, cut_off, _grid(frame, segment, hidden), _image(frame, segment, hidden))
+
+
+def _cut_off(mask: Mask, hidden: Mask) -> float:
+    """Share of the outline that touches another object or the image's border."""
+    kernel = np.ones((3, 3), np.uint8)
+    inside = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    foreign = cv2.copyMakeBorder(hidden.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
+    ring = (cv2.dilate(inside, kernel) > 0) & (inside == 0)
+    return float((ring & (cv2.dilate(foreign, kernel) > 0)).sum() / max(ring.sum(), 1))
 
 
 def _square(segment: Segment, margin: float) -> tuple[Float, float]:
