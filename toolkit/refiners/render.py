@@ -104,7 +104,8 @@ def _centered(image: jax.Array, weight: jax.Array) -> jax.Array:
 
 def _box(image: jax.Array) -> jax.Array:
     size = 2 * _BLUR_CELLS + 1
-    return jax.lax.reduce_window(image, 0.0, jax.lax.add, (size, size, 1), (1, 1, 1), "SAME")
+    rows = jax.lax.reduce_window(image, 0.0, jax.lax.add, (size, 1, 1), (1, 1, 1), "SAME")
+    return jax.lax.reduce_window(rows, 0.0, jax.lax.add, (1, size, 1), (1, 1, 1), "SAME")
 
 
 def _most(image: jax.Array) -> jax.Array:
