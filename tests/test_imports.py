@@ -16,10 +16,10 @@ STAGE_FOLDERS = ("segmenters", "associators", "descriptors", "indexes", "retriev
 
 LAYERS = [
     {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
-    {"geometry"},
+    {"geometry", "jax_geometry"},
     {"types"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
-    {"stages", "database", "fusion", "assignment", "results", "pictures", "sim"},
+    {"stages", "database", "fusion", "lighting", "assignment", "results", "pictures", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "cache", "data", "report"},
     {"experiment", "evaluate", "runs", "doctor"},

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from toolkit.assignment import assign_instances, restrict
+from toolkit.assignment import assign_instances, contenders, instance_similarity, restrict
+from toolkit.data.bop import load_capture
+from toolkit.data.dataset import build_dataset
+from toolkit.data.tabletop import TabletopConfig
 from toolkit.evaluate import score
-from toolkit.fusion import FusedModel, Models, RefineTask, fuse
+from toolkit.fusion import FusedModel, Models, Patch, RefineTask, fuse
 from toolkit.geometry import make_transform, rotation_angle, rotation_z
 from toolkit.jax_geometry import rotation_exp
+from toolkit.lighting import estimate_light, relit
 from toolkit.metrics import pose_error
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
 from toolkit.refiners import align as alignment
@@ -22,6 +27,8 @@ from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.compare import all_rotations, yaw_rotations
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.images import normalized
+from toolkit.refiners.likeness import unlikeness
+from toolkit.regions import lift_segment
 from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
 from toolkit.types import Abstention, Failure, Refined, Segment
 
@@ -73,8 +80,39 @@ def test_a_fused_model_lies_on_the_object(capture, database, tasks):
         local = model.points @ inside[:3, :3].T + inside[:3, 3] - truth.model.box_min
         assert (local > -0.002).all() and (local < truth.model.box_size + 0.002).all()
         assert len(np.unique(np.floor(model.points / 0.002), axis=0)) > 0.6 * len(model.points)
-        assert model.seen_by.max() >= 2
+        assert model.seen_by.sum(axis=1).max() >= 2 and model.seen_by.any(axis=1).all()
+        np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-5)
         assert ((model.colors >= 0) & (model.colors <= 255)).all()
+
+
+def test_normals_of_a_sphere_are_its_radii():
+    points = np.random.default_rng(0).standard_normal((2000, 3)).astype(np.float32)
+    points /= 20 * np.linalg.norm(points, axis=1, keepdims=True)
+    views = np.concatenate([np.eye(3), -np.eye(3)])
+    nothing = np.zeros((4, 4), bool)
+    patches = tuple(Patch(np.zeros((4, 4, 3), np.uint8), nothing, np.zeros((0, 2)), points[:0], view) for view in views)
+    model = FusedModel(points, np.zeros_like(points), points @ views.T > 0, patches)
+    assert (model.normals * points).sum(axis=1).min() > 0.98 / 20
+
+
+def test_a_rim_of_table_is_not_part_of_the_object(database, tasks):
+    """Masks that bleed 3 pixels onto the table on every side leave nothing level and low in the model."""
+    task = next(iter(tasks.values()))
+    rows = database.instance(task.instance)
+    clean = fuse(database, task.instance)
+    bled = replace(
+        database, regions=tuple(_bled(database, k) if k in rows else r for k, r in enumerate(database.regions))
+    )
+    model = fuse(bled, task.instance)
+    low = model.points[:, 2] < 0.003
+    assert (model.normals[low, 2] > 0.95).mean() < 0.5
+    assert np.abs(model.points[:, :2].max(axis=0) - clean.points[:, :2].max(axis=0)).max() < 0.004
+
+
+def _bled(database, row):
+    region, frame = database.regions[row], database.frame_of(row)
+    mask = cv2.dilate(region.segment.mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    return lift_segment(frame, Segment(mask))
 
 
 def test_render_compare_finds_the_motions_without_any_start(capture, tasks):
@@ -112,8 +150,9 @@ def fuse_center(task):
 def test_the_gauss_newton_gradient_is_the_derivative(tasks):
     """Finite differences of the robust cost along every free direction, at a generic pose."""
     task = next(iter(tasks.values()))
-    cloud, goal = Cloud(task.models.get(task.instance), LEVELS_PX), view_goal(task.goal, task.segment, ())
-    points, values, weights = cloud.patch(0)
+    cloud = Cloud(task.models.get(task.instance), LEVELS_PX, np.zeros(3))
+    goal = view_goal(task.goal, task.segment, ())
+    points, values, weights = cloud.patch(0, np.eye(3))
     source = alignment.Source(*(jnp.asarray(a) for a in (points, values, weights)), jnp.asarray(cloud.points))
     R = jnp.asarray(Rotation.from_rotvec([0.1, -0.2, 0.4]).as_matrix(), jnp.float32)
     _, duv = alignment._project(source.points @ R.T + jnp.asarray(cloud.center, jnp.float32), goal.image)
@@ -226,16 +265,86 @@ def test_an_assignment_gives_every_instance_once():
     """Two goal objects that both look most like instance 0."""
     similarity = np.array([[0.9, 0.9, 0.5, 0.5], [0.95, 0.95, 0.9, 0.9]])
     instances = np.array([0, 0, 1, 1])
-    assert assign_instances(similarity, instances).tolist() == [0, 1]
-    assert assign_instances(np.concatenate([similarity, similarity]), instances).tolist().count(-1) == 2
+    scores = instance_similarity(similarity, instances)
+    np.testing.assert_allclose(scores, [[0.9, 0.5], [0.95, 0.9]])
+    unseen = np.full(scores.shape, np.nan)
+    assert assign_instances(scores, unseen).tolist() == [0, 1]
+    assert assign_instances(np.tile(scores, (2, 1)), np.tile(unseen, (2, 1))).tolist().count(-1) == 2
     assert restrict(np.array([3, 0, 2, 1]), instances, 1).tolist() == [3, 2]
     assert restrict(np.array([3, 0]), instances, -1).tolist() == [3, 0]
+
+
+def test_where_descriptors_cannot_tell_the_models_decide():
+    """Objects 0 and 1 contend for instances 0 and 1; object 2 is alone with instance 2."""
+    scores = np.array([[0.80, 0.78, 0.2], [0.81, 0.78, 0.2], [0.3, 0.2, 0.9]])
+    assert contenders(scores).tolist() == [[True, True, False], [True, True, False], [False, False, False]]
+    verified = np.where(contenders(scores), [[0.4, 1.6, 0], [1.5, 0.5, 0], [0, 0, 0]], np.nan)
+    assert assign_instances(scores, verified).tolist() == [1, 0, 2]
+
+
+@pytest.mark.parametrize("kind", ["twins", "recolored"])
+def test_lookalikes_are_told_apart_or_shared_out(cache, tmp_path, kind):
+    config = TabletopConfig(
+        scenes=1, seed=3, min_objects=2, max_objects=2, views=4, rotation_deg=60, lookalikes=kind, renderer="tiny"
+    )
+    capture = load_capture(build_dataset(config, tmp_path / kind, cache) / "000000")
+    estimates = make_pipeline("render_compare", assignment="global").run(capture)
+    assert len({e.instance for e in estimates}) == 2
+    assert all(row.success_sym for row in score(capture, estimates))
 
 
 def test_clouds_have_one_shape(database):
     big = fuse(database, 0)
     small = FusedModel(big.points[:40], big.colors[:40], big.seen_by[:40], big.patches)
     for model in (big, small):
-        cloud = Cloud(model, LEVELS_PX)
-        assert cloud.points.shape == (1024, 3) and cloud.patch(0)[0].shape == (768, 3)
+        cloud = Cloud(model, LEVELS_PX, np.zeros(3))
+        assert cloud.points.shape == (1024, 3) and cloud.patch(0, np.eye(3))[0].shape == (768, 3)
         assert cloud.valid.sum() == min(len(model.points), 1024)
+
+
+def test_the_light_is_found_on_objects_of_any_colour():
+    """Spheres of different colours under one light: the slope of log brightness is the light that was put in."""
+    light, rng = np.array([0.1, -0.25, 0.15]), np.random.default_rng(0)
+    models = []
+    for tint in ([200, 60, 60], [90, 120, 90], [60, 60, 180]):
+        normals = rng.standard_normal((1500, 3)).astype(np.float32)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        colors = np.array(tint) * np.exp(normals @ light)[:, None] * rng.uniform(0.95, 1.05, (1500, 1))
+        patch = Patch(
+            np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), bool), np.zeros((0, 2)), normals[:0], np.eye(3)[2]
+        )
+        models.append(FusedModel(0.05 * normals, colors.astype(np.float32), np.ones((1500, 1), bool), (patch,)))
+    # One camera looks down: normals of the lower half point the wrong way, so only the upper half is kept.
+    models = [replace(m, points=m.points[up], colors=m.colors[up], seen_by=m.seen_by[up]) for m, up in _upper(models)]
+    np.testing.assert_allclose(estimate_light(models), light, atol=0.04)
+    assert (estimate_light([]) == 0).all()
+
+
+def _upper(models):
+    return [(model, model.points[:, 2] > 0.01) for model in models]
+
+
+def test_a_turned_surface_is_shaded_by_its_new_normal():
+    light, normals = np.array([0.0, -0.3, 0.1]), np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    factors = relit(light, normals, Rotation.from_euler("z", [[0], [np.pi]]).as_matrix())
+    np.testing.assert_allclose(factors, [[1, 1], [np.exp(-0.6), 1]], atol=1e-12)
+
+
+def test_likeness_knows_a_symmetry_from_a_handle():
+    """A cylinder looks the same after any turn; with a handle it does not, and a half turn of a box does."""
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 180, endpoint=False), np.linspace(0, 0.1, 40))
+    can = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), height], axis=-1).reshape(-1, 3)
+    handle = np.stack(np.meshgrid(np.linspace(0.04, 0.08, 20), [0.0, 0.004], np.linspace(0.03, 0.07, 20)), -1)
+    turns = [np.eye(4), rotation_z(np.radians(40)), rotation_z(np.pi)]
+    plain, handled = (_likeness_model(points) for points in (can, np.concatenate([can, handle.reshape(-1, 3)])))
+    assert unlikeness(plain, turns).max() < 0.02
+    assert unlikeness(handled, turns)[0] == 0 and unlikeness(handled, turns)[1:].min() > 0.08
+    half = can.copy()
+    half[:, 0] *= 0.5
+    assert unlikeness(_likeness_model(half), turns)[1] > 0.3 and unlikeness(_likeness_model(half), turns)[2] < 0.02
+
+
+def _likeness_model(points):
+    points = points.astype(np.float32)
+    patch = Patch(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), bool), np.zeros((0, 2)), points[:0], np.eye(3)[2])
+    return FusedModel(points, np.full_like(points, 128), np.ones((len(points), 1), bool), (patch,))

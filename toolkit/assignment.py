@@ -6,26 +6,47 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from toolkit.types import Float
+from toolkit.types import Float, Mask
 
 _BEST_VIEWS = 3
 """An instance is as similar as its three most similar regions: one alone may be a chance, all would count its back."""
 
+_CONTENDER = 0.15
+"""Instances less similar than the best by more than this are not looked at more closely."""
 
-def assign_instances(similarity: Float, instances: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pair goal objects with instances at the greatest total similarity (Hungarian method, SciPy).
+_UNSEEN = 1.0
+"""Verification score of a pair that nothing contends with: what right pairs have about."""
+
+
+def instance_similarity(similarity: Float, instances: NDArray[np.int64]) -> Float:
+    """(Q, K) similarity of goal objects to instances, from (Q, R) similarity to regions and their (R,) instances."""
+    count = int(instances.max()) + 1
+    best = [np.sort(similarity[:, instances == k], axis=1)[:, -_BEST_VIEWS:].mean(axis=1) for k in range(count)]
+    return np.stack(best, axis=1)
+
+
+def contenders(scores: Float) -> Mask:
+    """(Q, K) bool, the instances that descriptors alone cannot tell apart; no row has just one of them."""
+    close = scores >= scores.max(axis=1, keepdims=True) - _CONTENDER
+    return close & (close.sum(axis=1, keepdims=True) > 1)
+
+
+def assign_instances(scores: Float, verified: Float) -> NDArray[np.int64]:
+    """Pair goal objects with instances at the greatest total score (Hungarian method, SciPy).
 
     Args:
-        similarity: (Q, R) of goal objects to database regions.
-        instances: (R,) instance of every region, 0..K-1.
+        scores: (Q, K) similarity by descriptors.
+        verified: (Q, K) agreement of the instance's model with the goal object, NaN where that was not looked at; all
+            NaN leaves it to the descriptors.
 
     Returns:
         (Q,) instances; -1 for the goal objects left over when there are more of them than instances.
     """
-    count = int(instances.max()) + 1
-    scores = [np.sort(similarity[:, instances == k], axis=1)[:, -_BEST_VIEWS:].mean(axis=1) for k in range(count)]
-    rows, columns = linear_sum_assignment(np.stack(scores, axis=1), maximize=True)
-    assigned = np.full(len(similarity), -1, np.int64)
+    unseen = np.isnan(verified)
+    # A pair without a rival was not looked at; it must not lose against one that was.
+    alone = unseen.all(axis=1, keepdims=True) & ~unseen.all() & (scores == scores.max(axis=1, keepdims=True))
+    rows, columns = linear_sum_assignment(scores + np.where(alone, _UNSEEN, np.nan_to_num(verified)), maximize=True)
+    assigned = np.full(len(scores), -1, np.int64)
     assigned[rows] = columns
     return assigned
 

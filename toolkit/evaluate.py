@@ -67,6 +67,7 @@ def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str
     fields: dict[str, Any] = {
         "status": estimate.status,
         "confidence": estimate.confidence,
+        "ambiguity": estimate.ambiguity,
         "instance": estimate.instance,
         "matcher_calls": estimate.matcher_calls,
         "correspondences": 0 if estimate.correspondences is None else len(estimate.correspondences),
@@ -86,6 +87,10 @@ def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str
         "translation_error_cm_sym": error.translation_error_cm_sym,
         "success": error.success,
         "success_sym": error.success_sym,
+        "success_equivalent": error.success_sym
+        or any(
+            pose_error(T, truth).success_sym for T in (() if estimate.equivalents is None else estimate.equivalents)
+        ),
         "T_goal_current": estimate.T_goal_current.tolist(),
     }
 
@@ -108,6 +113,7 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
                 "status": estimate.status,
                 "T_goal_current": None if motion is None else motion.tolist(),
                 "confidence": estimate.confidence,
+                "ambiguity": estimate.ambiguity,
                 "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
                 "equivalents": None if estimate.equivalents is None else estimate.equivalents.tolist(),
                 "stage": failure.stage if failure else None,

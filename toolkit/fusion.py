@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -14,6 +15,10 @@ from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
 _VOXEL_M = 0.002
 _DEPTH_STEP_M = 0.01
 """Neighbouring pixels further apart in depth than this see two surfaces, and the pixels between mix them."""
+
+_CONTACT_M = 0.003
+_LEVEL, _MOST_TABLE = 0.9, 0.25
+"""Points this low whose normal is this upright are the table, if they are no more than this share of the object."""
 
 _NEIGHBOURS = 6
 _LONELY_M = 0.008
@@ -48,13 +53,13 @@ class FusedModel:
     Attributes:
         points: (N, 3) float32, metres; one a voxel.
         colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
-        seen_by: (N,) int32, how many frames saw the voxel.
-        patches: one a frame that saw the object.
+        seen_by: (N, V) bool, which of the patches saw the voxel.
+        patches: V, one a frame that saw the object.
     """
 
     points: Float
     colors: Float
-    seen_by: np.ndarray
+    seen_by: Mask
     patches: tuple[Patch, ...]
 
     @property
@@ -62,9 +67,27 @@ class FusedModel:
         """(3,) float64 middle of the points' axis-aligned box."""
         return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2, np.float64)
 
+    @cached_property
+    def normals(self) -> Float:
+        """(N, 3) float32 unit normals, towards the cameras that saw the point."""
+        return self.normals_at(np.arange(len(self.points)))
+
+    def normals_at(self, rows: np.ndarray) -> Float:
+        """(len(rows), 3) float32 unit normals of some of the points: where their neighbourhood spreads least."""
+        views = np.array([patch.observation for patch in self.patches], np.float32)
+        outward = self.seen_by[rows].astype(np.float32) @ views
+        if len(self.points) <= _NEIGHBOURS or not len(rows):
+            return outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+        _, near = KDTree(self.points).query(self.points[rows], min(2 * _NEIGHBOURS, len(self.points)))
+        around = self.points[near]
+        around = around - around.mean(axis=1, keepdims=True)
+        normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][..., 0]
+        facing = (normals * outward).sum(axis=1, keepdims=True)
+        return np.where(facing < 0, -normals, normals).astype(np.float32)
+
 
 def fuse(database: Database, instance: int) -> FusedModel | Failure:
-    """Join the regions of one instance: depth edges and outliers dropped, duplicates merged on a voxel grid.
+    """Join the regions of one instance: depth edges, outliers and the table dropped, duplicates merged on a voxel grid.
 
     Returns:
         The model, or a Failure where fewer than MIN_POINTS voxels are left.
@@ -80,12 +103,12 @@ def fuse(database: Database, instance: int) -> FusedModel | Failure:
     _, inverse, counts = np.unique(flat, return_inverse=True, return_counts=True)
     merged = _means(points, inverse, counts)
     tints = _means(colors, inverse, counts)
-    pairs = np.unique(inverse * len(patches) + views)
-    seen_by = np.bincount(pairs // len(patches), minlength=len(counts))
+    seen_by = np.zeros((len(counts), len(patches)), bool)
+    seen_by[inverse, views] = True
     kept = _not_lonely(merged)
     if kept.sum() < MIN_POINTS:
         return Failure("refiner", f"instance {instance} has only {int(kept.sum())} points that are no outliers")
-    return FusedModel(merged[kept], tints[kept], seen_by[kept].astype(np.int32), patches)
+    return _off_the_table(FusedModel(merged[kept], tints[kept], seen_by[kept], patches))
 
 
 class Models:
@@ -100,6 +123,11 @@ class Models:
         if instance not in self._known:
             self._known[instance] = fuse(self._database, instance)
         return self._known[instance]
+
+    def all(self) -> list[FusedModel]:
+        """The models of all instances that have one."""
+        found = (self.get(int(instance)) for instance in np.unique(self._database.instances))
+        return [model for model in found if isinstance(model, FusedModel)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +164,19 @@ def _patch(frame: Frame, region: Region) -> Patch:
     return Patch(
         frame.rgb, region.segment.mask, region.pixels[good], region.points[good].astype(np.float32), region.observation
     )
+
+
+def _off_the_table(model: FusedModel) -> FusedModel:
+    """Without the rim of table that masks bleed onto: level points as low as any, unless the object is that flat."""
+    height = model.points[:, 2] - model.points[:, 2].min()
+    low = np.flatnonzero(height < _CONTACT_M)
+    level = model.normals_at(low)[:, 2] > _LEVEL
+    table = low[level]
+    if not 0 < len(table) <= _MOST_TABLE * len(model.points):
+        return model
+    kept = np.ones(len(model.points), bool)
+    kept[table] = False
+    return FusedModel(model.points[kept], model.colors[kept], model.seen_by[kept], model.patches)
 
 
 def _means(values: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> Float:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from toolkit.assignment import assign_instances, restrict
+from toolkit.assignment import assign_instances, contenders, instance_similarity, restrict
 from toolkit.crops import crop_region
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
@@ -154,19 +154,19 @@ class Pipeline:
             with self.meter.stage("index"):
                 self.stages.index.build(database.descriptors)
                 rankings = list(self.stages.index.search(queries, len(database))[1])
+        models = Models(database)
+        if queries is not None and self.settings.assignment == "global":
+            scores = instance_similarity(queries @ database.descriptors.T, database.instances)
+            chosen = assign_instances(scores, self._verify(goal, segments, scores, models))
+            rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
         shared_ms, shared_cached = self.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
-        if queries is not None and self.settings.assignment == "global":
-            chosen = assign_instances(queries @ database.descriptors.T, database.instances)
-            rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
         references = _References(database, self.stages.matcher, self.settings.crop_margin)
-        models = Models(database)
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
             if rankings:
                 estimate = self._estimate_object(references, goal, number, segment, rankings[number])
-                others = tuple(s for s in segments if s is not segment)
-                estimate = self._refine(estimate, goal, others, models)
+                estimate = self._refine(estimate, goal, segments, models)
             else:
                 failure = Failure("segmenter", "no object region was found in the current frames")
                 estimate = PoseEstimate(number, segment, None, None, failure)
@@ -194,15 +194,25 @@ class Pipeline:
         assert best is not None
         return replace(best, matcher_calls=search.matcher_calls)
 
-    def _refine(self, estimate: PoseEstimate, goal: Frame, others: tuple[Segment, ...], models: Models) -> PoseEstimate:
+    def _verify(self, goal: Frame, segments: Sequence[Segment], scores: Float, models: Models) -> Float:
+        """(Q, K) how well instances that contend for a goal object agree with it, by the refiner; NaN elsewhere."""
+        verified = np.full(scores.shape, np.nan)
+        with self.meter.stage("refiner"):
+            for number, instance in np.argwhere(contenders(scores)):
+                task = RefineTask(goal, segments[number], _others(segments, number), int(instance), models)
+                score = self.stages.refiner.verify(task)
+                verified[number, instance] = np.nan if score is None else score
+        return verified
+
+    def _refine(self, estimate: PoseEstimate, goal: Frame, segments: Sequence[Segment], models: Models) -> PoseEstimate:
         """Let the refiner improve the motion, or find one where the matches gave none."""
         if estimate.instance is None:
             return estimate
         starts = () if estimate.T_goal_current is None else (estimate.T_goal_current,)
+        others = _others(segments, estimate.goal_object)
+        task = RefineTask(goal, estimate.segment, others, estimate.instance, models, starts)
         with self.meter.stage("refiner"):
-            refined = self.stages.refiner.refine(
-                RefineTask(goal, estimate.segment, others, estimate.instance, models, starts)
-            )
+            refined = self.stages.refiner.refine(task)
         if refined is None:
             return estimate
         if isinstance(refined, Failure):
@@ -213,6 +223,7 @@ class Pipeline:
             failure=None,
             confidence=refined.confidence,
             equivalents=refined.equivalents,
+            ambiguity=refined.ambiguity,
             covariance=refined.covariance,
         )
 
@@ -302,6 +313,11 @@ class _References:
             extracted = self._matcher.extract([self.crops[row] for row in missing])
             self._features.update(zip(missing, extracted, strict=True))
         return [self._features[row] for row in rows]
+
+
+def _others(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:
+    """All goal segments but one."""
+    return (*segments[:number], *segments[number + 1 :])
 
 
 def _support(estimate: PoseEstimate) -> int:

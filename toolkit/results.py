@@ -19,13 +19,14 @@ from rich.table import Table
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
 from toolkit.stats import Interval, bootstrap_interval, wilson_interval
-from toolkit.types import Float
+from toolkit.types import Ambiguity, Float
 
 
 class Row(BaseModel):
     """One true object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
 
     `dataset` is the digest of the dataset's settings: rows of one dataset and `scene_id` are of the same scene.
+    `success_equivalent`: this motion, or one that the goal image does not tell apart from it, is right.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -47,8 +48,10 @@ class Row(BaseModel):
     translation_error_cm_sym: float | None = None
     success: bool = False
     success_sym: bool = False
+    success_equivalent: bool = False
     T_goal_current: list[list[float]] | None = None
     confidence: float | None = None
+    ambiguity: Ambiguity | None = None
     instance: int | None = None
     matcher_calls: int = 0
     correspondences: int = 0

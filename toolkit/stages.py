@@ -130,6 +130,13 @@ class Refiner(Protocol):
         """
         ...
 
+    def verify(self, task: RefineTask) -> float | None:
+        """Return how well the task's instance agrees with the goal object at its best, higher is better.
+
+        Comparable between the instances and objects of one scene; None where this refiner does not compare images.
+        """
+        ...
+
 
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",

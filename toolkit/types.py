@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ from toolkit.geometry import is_rigid, transform_points
 Float = NDArray[np.floating[Any]]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+
+Ambiguity = Literal["none", "symmetric", "hidden"]
+"""Why several motions agree with a goal image: none do; the object looks the same from everywhere after each; or it
+does not, but the goal image does not show the side that would tell (a mug's handle behind the mug)."""
 
 
 def _require(condition: bool, message: str) -> None:
@@ -284,6 +288,7 @@ class Refined:
         T_goal_current: (4, 4) float64 motion in world coordinates, metres.
         confidence: 0..1, probability of being right within 5 deg and 2 cm.
         equivalents: (E, 4, 4) float64 motions that the goal image does not tell apart from it, itself the first.
+        ambiguity: what the equivalents are (`Ambiguity`).
         covariance: (6, 6) float64 of (turn, shift) about the object's centre, rad^2 and m^2; rows and columns of what
             was held fixed are 0.
     """
@@ -291,6 +296,7 @@ class Refined:
     T_goal_current: Float
     confidence: float
     equivalents: Float
+    ambiguity: Ambiguity
     covariance: Float
 
     def __post_init__(self) -> None:
@@ -333,6 +339,7 @@ class PoseEstimate:
         failure: why there is no motion, or None.
         confidence: 0..1, or None where the pipeline gives none.
         equivalents: (E, 4, 4) float64 motions that look the same, this one the first; None where that was not asked.
+        ambiguity: what the equivalents are, or None.
         covariance: (6, 6) float64 of (turn, shift) in the goal's world, or None (`Refined`, `PnPSolution`).
         correspondences: what the pose was solved from, or None.
         inliers: (N,) bool over the correspondences, or None.
@@ -350,6 +357,7 @@ class PoseEstimate:
     failure: Failure | None = None
     confidence: float | None = None
     equivalents: Float | None = None
+    ambiguity: Ambiguity | None = None
     covariance: Float | None = None
     correspondences: Correspondences | None = None
     inliers: Mask | None = None

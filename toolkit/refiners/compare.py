@@ -57,6 +57,8 @@ class Hypothesis:
         correlation: of locally centred colours, rendered against seen.
         color: mean difference of colours.
         photometric: correlation of normalised intensities with the views it was refined on.
+        spill_px: how far the model lies beside the object, where it does so most.
+        gap_px: how far the object's outline is from the model, where it is so most.
         information: (6, 6) inverse covariance of (turn, shift) about the object's centre.
     """
 
@@ -65,6 +67,8 @@ class Hypothesis:
     correlation: float
     color: float
     photometric: float
+    spill_px: float
+    gap_px: float
     information: Float
 
     @property
@@ -105,11 +109,12 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
         jnp.asarray(search.free),
         search.iterations,
     )
-    turns, places, information, photometric = (np.asarray(part, np.float64) for part in jax.device_get(refined))
-    finite = np.isfinite(turns).all(axis=(1, 2)) & np.isfinite(places).all(axis=1)
-    turns, places = _orthonormal(turns[finite]), places[finite]
+    parts = [np.asarray(part, np.float64) for part in jax.device_get(refined)]
+    finite = np.isfinite(parts[0]).all(axis=(1, 2)) & np.isfinite(parts[1]).all(axis=1)
+    turns, places, information, photometric, spill, gap = (part[finite] for part in parts)
     if not len(turns):
         return []
+    turns = _orthonormal(turns)
     agreement = _agreement(cloud, goal, turns, places)
     found = [
         Hypothesis(
@@ -117,8 +122,10 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
             iou=float(agreement.iou[i]),
             correlation=float(agreement.correlation[i]),
             color=float(agreement.color[i]),
-            photometric=float(photometric[finite][i]),
-            information=information[finite][i],
+            photometric=float(photometric[i]),
+            spill_px=float(spill[i]),
+            gap_px=float(gap[i]),
+            information=information[i],
         )
         for i, (R, t) in enumerate(zip(turns, places, strict=True))
     ]
@@ -132,13 +139,23 @@ def _first_guesses(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search
     places = np.array([place for _, place in given]).reshape(-1, 3)
     if not len(search.rotations):
         return turns, places
-    # Of an object that is partly covered, the box says where some of its sides are, but not which.
-    anchors = _ANCHORS if goal.cut_off else _ANCHORS[:1]
-    rotations = np.tile(search.rotations, (len(anchors), 1, 1))
-    on_table = np.concatenate([_placed(cloud, goal, search.rotations, anchor) for anchor in anchors])
-    total = np.asarray(_agreement(cloud, goal, rotations, on_table).total)
+    rotations, on_table, total = _tried(cloud, goal, search.rotations)
     rows = _peaks(total, rotations, search.kept - len(given))
     return np.concatenate([turns, rotations[rows]]), np.concatenate([places, on_table[rows]])
+
+
+def best_agreement(cloud: Cloud, goal: GoalView, search: Search) -> float | None:
+    """The best first score of all hypotheses, unrefined; None where the search has none."""
+    return float(_tried(cloud, goal, search.rotations)[2].max()) if len(search.rotations) else None
+
+
+def _tried(cloud: Cloud, goal: GoalView, R: Float) -> tuple[Float, Float, Float]:
+    """(H, 3, 3) turns, (H, 3) places on the table and (H,) scores of the hypotheses that (B, 3, 3) turns give."""
+    # Of an object that is partly covered, the box says where some of its sides are, but not which.
+    anchors = _ANCHORS if goal.cut_off else _ANCHORS[:1]
+    turns = np.tile(R, (len(anchors), 1, 1))
+    places = np.concatenate([_placed(cloud, goal, R, anchor) for anchor in anchors])
+    return turns, places, np.asarray(_agreement(cloud, goal, turns, places).total)
 
 
 def _placed(cloud: Cloud, goal: GoalView, R: Float, anchor: Float) -> Float:
@@ -189,7 +206,7 @@ def _agreement(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Score:
     poses[:, :3, 3] = t @ T[:3, :3].T + T[:3, 3]
     K = jnp.asarray(goal.frame.camera.K, jnp.float32)
     arrays = (jnp.asarray(a) for a in (cloud.points, cloud.colors, cloud.valid))
-    return jax.device_get(score_poses(*arrays, K, jnp.asarray(poses), goal.grid))
+    return jax.device_get(score_poses(*arrays, K, jnp.asarray(poses), jnp.asarray(cloud.shade(R)), goal.grid))
 
 
 def _peaks(scores: Float, R: Float, count: int) -> NDArray[np.int64]:
@@ -220,7 +237,7 @@ def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float, patches: int) -> 
     points, values, weights = [], [], []
     for turn, place in zip(R, t, strict=True):
         direction = turn.T @ (eye - place)
-        chosen = [cloud.patch(i) for i in cloud.nearest_patches(direction / np.linalg.norm(direction), patches)]
+        chosen = [cloud.patch(i, turn) for i in cloud.nearest_patches(direction / np.linalg.norm(direction), patches)]
         points.append(np.concatenate([c[0] for c in chosen]))
         values.append(np.concatenate([c[1] for c in chosen], axis=1))
         weights.append(np.concatenate([c[2] for c in chosen]))

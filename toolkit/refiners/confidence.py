@@ -9,18 +9,44 @@ import numpy as np
 from toolkit.refiners.compare import Hypothesis
 from toolkit.types import Float
 
-_WEIGHTS = np.array([0.730, 2.177, 5.233, -1.431, 3.056])
+_WEIGHTS = np.array([0.730, 2.177, 5.233, -1.431, 0.0, 0.0, 3.056, 0.0])
 _BIAS = -3.937
-"""Logistic regression on 60 scenes of procedural objects (experiments/benchmarks/confidence.py)."""
+"""Logistic regression on scenes of procedural objects (experiments/benchmarks/confidence.py)."""
+
+_MOST_LEAD = 0.5
+_FULL_SIZE_PX = 1000
 
 
-def features(found: Sequence[Hypothesis]) -> Float:
-    """(5,) what the best of ordered hypotheses is judged by: overlap, colours, intensities, contrast, lead."""
+def features(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> Float:
+    """What the best of ordered hypotheses is judged by.
+
+    Args:
+        found: hypotheses by falling score.
+        unlike: (len(found),) how much each differs from the best in what all sides of the object show (`likeness`).
+        seen_px: pixels of the object in the goal image.
+
+    Returns:
+        (8,) overlap, colours, intensities, contrast, spill and gap of the outlines, lead over the next hypothesis in
+        proportion to how unlike it is, and size in the image.
+    """
     best = found[0]
-    lead = best.score - found[1].score if len(found) > 1 else 1.0
-    return np.array([best.iou, best.correlation, best.photometric, best.color, min(lead, 1.0)])
+    leads = [
+        best.score - h.score + _MOST_LEAD * (1 - min(2 * u, 1)) for h, u in zip(found[1:], unlike[1:], strict=True)
+    ]
+    return np.array(
+        [
+            best.iou,
+            best.correlation,
+            best.photometric,
+            best.color,
+            np.log1p(best.spill_px),
+            np.log1p(best.gap_px),
+            min([_MOST_LEAD, *leads]),
+            np.log(min(seen_px, _FULL_SIZE_PX) / _FULL_SIZE_PX),
+        ]
+    )
 
 
-def confidence(found: Sequence[Hypothesis]) -> float:
-    """Probability 0..1 that the best hypothesis is within 5 deg and 2 cm of the truth."""
-    return float(1 / (1 + np.exp(-(features(found) @ _WEIGHTS + _BIAS))))
+def confidence(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> float:
+    """Probability 0..1 that the best hypothesis is within 5 deg and 2 cm of the truth; arguments as `features`."""
+    return float(1 / (1 + np.exp(-(features(found, unlike, seen_px) @ _WEIGHTS + _BIAS))))

@@ -20,7 +20,7 @@ def opponent(rgb: Image | Float) -> Float:
     return np.stack([(r + g + b) / 3, (r - g) / 2, (r + g) / 4 - b / 2], axis=-1)
 
 
-def normalized(rgb: Image, mask: Mask, sigma: float) -> Float:
+def normalized(rgb: Image | Float, mask: Mask, sigma: float) -> Float:
     """(H, W, 3) float32 opponent colours, blurred by `sigma` pixels and normalised locally, on the mask only.
 
     Mean and deviation are taken over a Gaussian neighbourhood inside the mask, so that neither light nor what lies

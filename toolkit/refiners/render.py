@@ -53,10 +53,19 @@ class Score(NamedTuple):
 
 @jax.jit
 def score_poses(
-    points: jax.Array, colors: jax.Array, valid: jax.Array, K: jax.Array, poses: jax.Array, goal: GoalGrid
+    points: jax.Array,
+    colors: jax.Array,
+    valid: jax.Array,
+    K: jax.Array,
+    poses: jax.Array,
+    shade: jax.Array,
+    goal: GoalGrid,
 ) -> Score:
-    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) opponent colours; (N,) `valid` ones count."""
-    return jax.vmap(lambda pose: _score(points, colors, valid, K, pose, goal))(poses)
+    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) opponent colours.
+
+    Only the (N,) `valid` points count; (B, N) `shade` is the factor of their brightness in every pose.
+    """
+    return jax.vmap(lambda pose, factor: _score(points, colors * factor[:, None], valid, K, pose, goal))(poses, shade)
 
 
 def _score(

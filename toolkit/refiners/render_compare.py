@@ -8,12 +8,20 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydantic import Field
 
-from toolkit.fusion import FusedModel, RefineTask
-from toolkit.geometry import rotation_angle
+from toolkit.fusion import FusedModel, Models, RefineTask
+from toolkit.lighting import estimate_light
 from toolkit.refiners.cloud import Cloud
-from toolkit.refiners.compare import FREE, PLANAR, Hypothesis, Search, all_rotations, compare, yaw_rotations
-from toolkit.refiners.confidence import confidence
+from toolkit.refiners.compare import (
+    FREE,
+    PLANAR,
+    Search,
+    all_rotations,
+    best_agreement,
+    compare,
+    yaw_rotations,
+)
 from toolkit.refiners.goal import LEVELS_PX, view_goal
+from toolkit.refiners.verdict import Verdict, judge
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Abstention, Failure, Float, Refined
 
@@ -25,7 +33,7 @@ class RefinerConfig(PluginConfig):
         "planar", description="Objects turn about the vertical and slide on the table; or move freely."
     )
     patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
-    iterations: int = Field(8, ge=1, description="Gauss-Newton steps a level.")
+    iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
     abstain_below: float = Field(0.0, ge=0, le=1, description="Answers of less confidence are withheld.")
     same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
 
@@ -50,6 +58,7 @@ class ImageRefiner(Plugin):
     def __init__(self, config: PluginConfig | None = None) -> None:
         super().__init__(config)
         self._clouds: WeakKeyDictionary[FusedModel, Cloud] = WeakKeyDictionary()
+        self._lights: WeakKeyDictionary[Models, Float] = WeakKeyDictionary()
 
     def search(self) -> Search:
         """How hypotheses are made."""
@@ -64,28 +73,46 @@ class ImageRefiner(Plugin):
         starts, search = self.starts(task), self.search()
         if not starts and not len(search.rotations):
             return Failure("refiner", "there is no motion to refine")
+        cloud = self._cloud(task)
+        if isinstance(cloud, Failure):
+            return cloud
+        found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
+        if not found:
+            return Failure("refiner", "no hypothesis stayed finite")
+        return self._answer(
+            judge(found, cloud.model, int(task.segment.mask.sum()), self.config.same_score), search.free
+        )
+
+    def verify(self, task: RefineTask) -> float | None:
+        """See Refiner."""
+        cloud = self._cloud(task)
+        if isinstance(cloud, Failure):
+            return None
+        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), self.search())
+
+    def _light(self, models: Models) -> Float:
+        if models not in self._lights:
+            self._lights[models] = estimate_light(models.all())
+        return self._lights[models]
+
+    def _cloud(self, task: RefineTask) -> Cloud | Failure:
         model = task.models.get(task.instance)
         if isinstance(model, Failure):
             return model
         if model not in self._clouds:
-            self._clouds[model] = Cloud(model, LEVELS_PX)
-        cloud = self._clouds[model]
-        found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
-        return self._answer(found, search.free) if found else Failure("refiner", "no hypothesis stayed finite")
+            self._clouds[model] = Cloud(model, LEVELS_PX, self._light(task.models))
+        return self._clouds[model]
 
-    def _answer(self, found: list[Hypothesis], free: Float) -> Refined | Failure:
-        """Of those that look the same as the best, the one that moves the object least."""
-        alike = [h for h in found if h.score >= found[0].score - self.config.same_score]
-        alike.sort(key=lambda h: rotation_angle(h.T_goal_current[:3, :3]))
-        sure = confidence(found)
-        if sure < self.config.abstain_below:
-            return Abstention("refiner", f"confidence {sure:.2f} is below {self.config.abstain_below:g}")
-        best = alike[0]
+    def _answer(self, verdict: Verdict, free: Float) -> Refined | Failure:
+        sure, least = verdict.confidence, self.config.abstain_below
+        if sure < least:
+            return Abstention("refiner", f"confidence {sure:.2f} is below {least:g}")
         return Refined(
-            best.T_goal_current,
+            verdict.best.T_goal_current,
             sure,
-            np.stack([h.T_goal_current for h in alike]),
-            _covariance(best.information, free),
+            np.stack([h.T_goal_current for h in verdict.equivalents]),
+            verdict.ambiguity,
+            _covariance(verdict.best.information, free),
         )
 
 

@@ -14,3 +14,6 @@ class Unrefined(Plugin):
 
     def refine(self, task: RefineTask) -> None:
         """See Refiner."""
+
+    def verify(self, task: RefineTask) -> None:
+        """See Refiner."""

@@ -69,6 +69,7 @@ def write_report(run: Path) -> Path:
         by_count=success_by(rows, colors, lambda row: sizes[row.cell, row.scene_id], "objects in the scene"),
         by_symmetry=success_by(rows, colors, lambda row: row.symmetry, "symmetry of the object"),
         confidences=confidence_curves(rows, colors),
+        ambiguous=_ambiguous(rows),
         times=time_by_stage(summaries),
         comparisons=_compare(rows),
         hardest=_hardest(rows, best.cell),
@@ -168,6 +169,18 @@ def _failures(rows: Sequence[Row]) -> list[tuple[str, str, str, int]]:
         general = re.sub(r"\d+", "N", row.reason) if row.reason else "the pose is off by more than 5° or 2 cm"
         counts[row.cell, row.stage or "pose", general] += 1
     return [(*key, count) for key, count in counts.most_common(16)]
+
+
+def _ambiguous(rows: Sequence[Row]) -> list[tuple[str, str, int, int, int]]:
+    """Cell, kind of ambiguity, objects, right ones, and those of which one of the equivalent motions is right."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row.ambiguity is not None:
+            groups.setdefault((row.cell, row.ambiguity), []).append(row)
+    return [
+        (cell, kind, len(own), sum(r.success_sym for r in own), sum(r.success_equivalent for r in own))
+        for (cell, kind), own in groups.items()
+    ]
 
 
 def _cases(run: Path) -> list[_Case]:

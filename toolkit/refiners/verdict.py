@@ -1,0 +1,60 @@
+"""What refined hypotheses say together: the answer, what else it could be, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from toolkit.fusion import FusedModel
+from toolkit.geometry import rotation_angle
+from toolkit.refiners.compare import Hypothesis
+from toolkit.refiners.confidence import confidence
+from toolkit.refiners.likeness import unlikeness
+from toolkit.types import Ambiguity
+
+_SAME_OBJECT = 0.1
+"""Motions after which less of the surface than this has changed are one to everybody."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The answer for one object.
+
+    Attributes:
+        best: the hypothesis chosen.
+        equivalents: all that agree with the goal image as well, `best` the first.
+        ambiguity: what they are.
+        confidence: 0..1, probability that `best` is right.
+    """
+
+    best: Hypothesis
+    equivalents: tuple[Hypothesis, ...]
+    ambiguity: Ambiguity
+    confidence: float
+
+
+def judge(found: Sequence[Hypothesis], model: FusedModel, seen_px: int, same_score: float) -> Verdict:
+    """Choose among hypotheses, best first.
+
+    Of those that score as the best does and that nobody could tell from it, because the object is symmetric, the one
+    that turns the object least is taken. Those that one could tell from it, were the other side in the picture, are not
+    chosen over a better score, but stand among the equivalents.
+
+    Args:
+        found: refined hypotheses by falling score.
+        model: the object.
+        seen_px: pixels of the object in the goal image.
+        same_score: scores this close to the best are as good.
+    """
+    unlike = unlikeness(model, [h.T_goal_current for h in found])
+    close = [i for i, h in enumerate(found) if h.score >= found[0].score - same_score]
+    twins = [i for i in close if unlike[i] < _SAME_OBJECT]
+    best = min(twins, key=lambda i: rotation_angle(found[i].T_goal_current[:3, :3]))
+    others = [i for i in close if i != best]
+    hidden = len(twins) < len(close)
+    return Verdict(
+        found[best],
+        (found[best], *(found[i] for i in others)),
+        "hidden" if hidden else "symmetric" if others else "none",
+        confidence(found, unlike, seen_px),
+    )
