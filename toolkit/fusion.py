@@ -7,7 +7,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from toolkit.database import Database
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
@@ -17,8 +17,8 @@ _DEPTH_STEP_M = 0.01
 """Neighbouring pixels further apart in depth than this see two surfaces, and the pixels between mix them."""
 
 _CONTACT_M = 0.003
-_LEVEL, _MOST_TABLE = 0.9, 0.25
-"""Points this low whose normal is this upright are the table, if they are no more than this share of the object."""
+_LEVEL, _MOST_RIM = 0.9, 0.2
+"""Points this low and beside the object whose normal is this upright are the table; a larger share is a flat object."""
 
 _NEIGHBOURS = 6
 _LONELY_M = 0.008
@@ -167,15 +167,21 @@ def _patch(frame: Frame, region: Region) -> Patch:
 
 
 def _off_the_table(model: FusedModel) -> FusedModel:
-    """Without the rim of table that masks bleed onto: level points as low as any, unless the object is that flat."""
-    height = model.points[:, 2] - model.points[:, 2].min()
+    """Without the rim of table that masks bleed onto: level points as low as any, beside all that is higher."""
+    xy, height = model.points[:, :2], model.points[:, 2] - model.points[:, 2].min()
     low = np.flatnonzero(height < _CONTACT_M)
-    level = model.normals_at(low)[:, 2] > _LEVEL
-    table = low[level]
-    if not 0 < len(table) <= _MOST_TABLE * len(model.points):
+    if not 0 < len(low) < len(height) - MIN_POINTS:
         return model
-    kept = np.ones(len(model.points), bool)
-    kept[table] = False
+    try:
+        footprint = Delaunay(xy[height >= _CONTACT_M])
+    except QhullError:
+        return model
+    beside = low[footprint.find_simplex(xy[low]) < 0]
+    rim = beside[model.normals_at(beside)[:, 2] > _LEVEL]
+    if not 0 < len(rim) <= _MOST_RIM * len(height):
+        return model
+    kept = np.ones(len(height), bool)
+    kept[rim] = False
     return FusedModel(model.points[kept], model.colors[kept], model.seen_by[kept], model.patches)
 
 

@@ -22,12 +22,14 @@ from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.experiment import create_stage, expand, load_experiment, own_settings
 from toolkit.fusion import FusedModel, Models
+from toolkit.lighting import estimate_light
 from toolkit.metrics import PoseError, pose_error
 from toolkit.pipeline import Pipeline, Stages
 from toolkit.refiners.cloud import Cloud
-from toolkit.refiners.compare import compare
+from toolkit.refiners.compare import Hypothesis, compare
 from toolkit.refiners.confidence import features
 from toolkit.refiners.goal import LEVELS_PX, view_goal
+from toolkit.refiners.likeness import unlikeness
 from toolkit.refiners.render_compare import RenderCompare
 from toolkit.slots import SLOTS
 from toolkit.types import Float, Segment
@@ -46,19 +48,24 @@ def samples(capture_folder: Path) -> list[list[float]]:
     assert capture.truth is not None and capture.goal.true_masks is not None
     segments = {i: Segment(mask) for i, mask in capture.goal.true_masks.items()}
     models, rows = Models(database), []
+    light = estimate_light(models.all())
     for i, segment in segments.items():
         instance = next((int(database.instances[r]) for r in range(len(database)) if _shows(database, r, i)), None)
         model = None if instance is None else models.get(instance)
         if not isinstance(model, FusedModel):
             continue
         goal = view_goal(capture.goal, segment, [s for s in segments.values() if s is not segment])
-        found = compare(Cloud(model, LEVELS_PX), goal, (), RenderCompare().search())
+        found = compare(Cloud(model, LEVELS_PX, light), goal, (), RenderCompare().search())
         errors = [pose_error(h.T_goal_current, capture.truth[i]) for h in found]
-        rows.append([*features(found), float(errors[0].success_sym)])
+        rows.append([*_judged_by(found, model, segment), float(errors[0].success_sym)])
         wrong = [h for h, e in zip(found, errors, strict=True) if not _near(e)]
         if 0 < len(wrong) < len(found):
-            rows.append([*features(wrong), 0.0])
+            rows.append([*_judged_by(wrong, model, segment), 0.0])
     return rows
+
+
+def _judged_by(found: list[Hypothesis], model: FusedModel, segment: Segment) -> Float:
+    return features(found, unlikeness(model, [h.T_goal_current for h in found]), int(segment.mask.sum()))
 
 
 def _near(error: PoseError) -> bool:
@@ -87,7 +94,7 @@ def main() -> None:
     parser.add_argument("test", type=Path)
     options = parser.parse_args()
     X, y, weight = collect(options.train)
-    model = LogisticRegression(C=3, max_iter=5000).fit(X, y, sample_weight=weight)
+    model = LogisticRegression(C=1, max_iter=5000).fit(X, y, sample_weight=weight)
     print("weights", model.coef_[0].round(3).tolist(), "bias", model.intercept_[0].round(3))
     X, y, weight = collect(options.test)
     p = model.predict_proba(X)[:, 1]

@@ -71,7 +71,7 @@ def main() -> None:
                 continue
 
             cut = partial(view_goal, capture.goal, segment, [s for s in segments if s is not segment])
-            cloud, goal = Cloud(model, LEVELS_PX), cut()
+            cloud, goal = Cloud(model, LEVELS_PX, np.zeros(3)), cut()
             times["fuse"].append(timed(partial(fuse, database, instance), options.repeats))
             times["cut out the goal"].append(timed(cut, options.repeats))
             for name, search in variants.items():

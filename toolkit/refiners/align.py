@@ -19,6 +19,9 @@ _MOST_TURN, _MOST_SHIFT_M = 0.15, 0.02
 """Largest step of one iteration, radians and metres."""
 
 _FAR_PX = 10.0
+_SPILL_PART = 50
+"""One point in so many, the furthest off, says how far the model spills over."""
+
 _SAMPLES_PX = 0.5
 """The outermost projected point lies about this far inside the true silhouette."""
 
@@ -72,7 +75,6 @@ class Aligned(NamedTuple):
         information: (6, 6) of (turn, shift), inverse covariance in 1/rad^2 and 1/m^2.
         correlation: -1..1, of the intensities at the finest level.
         spill: how far the part of the model that lies furthest off the object does, pixels.
-        gap: how far the part of the object's outline that is furthest from the model is from it, pixels.
     """
 
     R: jax.Array
@@ -80,7 +82,6 @@ class Aligned(NamedTuple):
     information: jax.Array
     correlation: jax.Array
     spill: jax.Array
-    gap: jax.Array
 
 
 @partial(jax.jit, static_argnums=5)
@@ -112,8 +113,8 @@ def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: ja
     for level in range(levels):
         turn, place = jax.lax.fori_loop(0, iterations, lambda _, pose, level=level: step(level, *pose), (turn, place))
     information, _ = _normal_equations(turn, place, source, goal, levels - 1, free)
-    spill, gap = _misfit(turn, place, source, goal)
-    return Aligned(turn, place, information, _correlation(turn, place, source, goal), spill, gap)
+    correlation, spill = _correlation(turn, place, source, goal), _spill(turn, place, source, goal)
+    return Aligned(turn, place, information, correlation, spill)
 
 
 Equations = tuple[jax.Array, jax.Array]
@@ -188,17 +189,12 @@ def _correlation(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) ->
     return (a * b).sum() / jnp.sqrt(((a**2).sum() + 1) * (((source.values[-1] ** 2).sum(1) * source.weights).sum() + 1))
 
 
-def _misfit(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> tuple[jax.Array, jax.Array]:
-    """The means of the largest distances between silhouettes, both ways: a handle on the wrong side shows here."""
+def _spill(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.Array:
+    """Mean of the largest distances of the model off the object: a handle on the wrong side shows here."""
     uv, _ = _project(source.shape @ R.T + t, goal)
     distance, _, inside = _sample(goal.outside[..., None], uv)
-    spill = jnp.where(inside > 0, distance[:, 0], _FAR_PX)
-    gap = jnp.linalg.norm(goal.contour - uv[_nearest(goal.contour, uv)], axis=1) * goal.contour_weight
-    return _mean_of_largest(spill, len(spill) // 50), _mean_of_largest(gap, len(gap) // 12)
-
-
-def _mean_of_largest(values: jax.Array, count: int) -> jax.Array:
-    return jnp.minimum(jax.lax.top_k(values, count)[0], _FAR_PX).mean()
+    off = jnp.where(inside > 0, jnp.minimum(distance[:, 0], _FAR_PX), _FAR_PX)
+    return jax.lax.top_k(off, max(len(off) // _SPILL_PART, 1))[0].mean()
 
 
 def _project(world: jax.Array, goal: GoalImage) -> tuple[jax.Array, jax.Array]:

@@ -19,7 +19,10 @@ from toolkit.refiners.render import Score, score_poses
 from toolkit.types import Float
 
 _PLACINGS = 4
-_ANCHORS = np.array([[0.5, 0.5], *([x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5))])
+_MIDDLE = np.array([0.5, 0.5])
+_BORDERS = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5)])
+_SHIFTED = 72
+"""Most likely turns that are also placed with other points of the boxes meeting."""
 _PLACED_POINTS = 256
 _DISTINCT_RAD, _DISTINCT_M = np.radians(8), 0.01
 """Refined hypotheses closer than this are one."""
@@ -58,7 +61,6 @@ class Hypothesis:
         color: mean difference of colours.
         photometric: correlation of normalised intensities with the views it was refined on.
         spill_px: how far the model lies beside the object, where it does so most.
-        gap_px: how far the object's outline is from the model, where it is so most.
         information: (6, 6) inverse covariance of (turn, shift) about the object's centre.
     """
 
@@ -68,7 +70,6 @@ class Hypothesis:
     color: float
     photometric: float
     spill_px: float
-    gap_px: float
     information: Float
 
     @property
@@ -111,7 +112,7 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
     )
     parts = [np.asarray(part, np.float64) for part in jax.device_get(refined)]
     finite = np.isfinite(parts[0]).all(axis=(1, 2)) & np.isfinite(parts[1]).all(axis=1)
-    turns, places, information, photometric, spill, gap = (part[finite] for part in parts)
+    turns, places, information, photometric, spill = (part[finite] for part in parts)
     if not len(turns):
         return []
     turns = _orthonormal(turns)
@@ -124,7 +125,6 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
             color=float(agreement.color[i]),
             photometric=float(photometric[i]),
             spill_px=float(spill[i]),
-            gap_px=float(gap[i]),
             information=information[i],
         )
         for i, (R, t) in enumerate(zip(turns, places, strict=True))
@@ -151,11 +151,16 @@ def best_agreement(cloud: Cloud, goal: GoalView, search: Search) -> float | None
 
 def _tried(cloud: Cloud, goal: GoalView, R: Float) -> tuple[Float, Float, Float]:
     """(H, 3, 3) turns, (H, 3) places on the table and (H,) scores of the hypotheses that (B, 3, 3) turns give."""
+    places = _placed(cloud, goal, R, _MIDDLE)
+    total = np.asarray(_agreement(cloud, goal, R, places).total)
+    if not goal.cut_off:
+        return R, places, total
     # Of an object that is partly covered, the box says where some of its sides are, but not which.
-    anchors = _ANCHORS if goal.cut_off else _ANCHORS[:1]
-    turns = np.tile(R, (len(anchors), 1, 1))
-    places = np.concatenate([_placed(cloud, goal, R, anchor) for anchor in anchors])
-    return turns, places, np.asarray(_agreement(cloud, goal, turns, places).total)
+    likely = R[np.argsort(-total, kind="stable")[:_SHIFTED]]
+    turns = np.tile(likely, (len(_BORDERS), 1, 1))
+    shifted = np.concatenate([_placed(cloud, goal, likely, anchor) for anchor in _BORDERS])
+    totals = np.asarray(_agreement(cloud, goal, turns, shifted).total)
+    return np.concatenate([R, turns]), np.concatenate([places, shifted]), np.concatenate([total, totals])
 
 
 def _placed(cloud: Cloud, goal: GoalView, R: Float, anchor: Float) -> Float:

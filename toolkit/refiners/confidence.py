@@ -9,8 +9,8 @@ import numpy as np
 from toolkit.refiners.compare import Hypothesis
 from toolkit.types import Float
 
-_WEIGHTS = np.array([0.730, 2.177, 5.233, -1.431, 0.0, 0.0, 3.056, 0.0])
-_BIAS = -3.937
+_WEIGHTS = np.array([1.82, 4.32, -1.11, -1.4, 1.89, 0.69])
+_BIAS = -0.12
 """Logistic regression on scenes of procedural objects (experiments/benchmarks/confidence.py)."""
 
 _MOST_LEAD = 0.5
@@ -26,8 +26,8 @@ def features(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> Float:
         seen_px: pixels of the object in the goal image.
 
     Returns:
-        (8,) overlap, colours, intensities, contrast, spill and gap of the outlines, lead over the next hypothesis in
-        proportion to how unlike it is, and size in the image.
+        (6,) agreement of colours and of intensities, contrast, how far the model lies beside the object, lead over the
+        next hypothesis (greater where that is hardly another one), and size in the image.
     """
     best = found[0]
     leads = [
@@ -35,12 +35,10 @@ def features(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> Float:
     ]
     return np.array(
         [
-            best.iou,
             best.correlation,
             best.photometric,
             best.color,
             np.log1p(best.spill_px),
-            np.log1p(best.gap_px),
             min([_MOST_LEAD, *leads]),
             np.log(min(seen_px, _FULL_SIZE_PX) / _FULL_SIZE_PX),
         ]

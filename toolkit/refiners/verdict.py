@@ -12,7 +12,7 @@ from toolkit.refiners.confidence import confidence
 from toolkit.refiners.likeness import unlikeness
 from toolkit.types import Ambiguity
 
-_SAME_OBJECT = 0.1
+_SAME_OBJECT = 0.05
 """Motions after which less of the surface than this has changed are one to everybody."""
 
 
