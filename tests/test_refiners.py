@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import cv2
@@ -204,6 +206,17 @@ def test_nothing_recompiles_after_warm_up(tasks):
     for task in tasks.values():
         REFINERS.create("render_compare").refine(replace(task, starts=(rotation_z(1.0),), others=()))
     assert not compilations
+
+
+def test_a_refiner_lets_go_of_scenes_that_are_done(tasks):
+    """A worker refines hundreds of scenes with one refiner."""
+    refiner, task = REFINERS.create("photometric"), next(iter(tasks.values()))
+    models = Models(task.models._database)
+    refiner.refine(replace(task, models=models, starts=(np.eye(4),)))
+    kept = weakref.ref(models.get(task.instance))
+    del models
+    gc.collect()
+    assert kept() is None
 
 
 def test_the_same_task_gives_the_same_bytes(tasks):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field
 
-from toolkit.fusion import FusedModel, Models, RefineTask
+from toolkit.fusion import Models, RefineTask
 from toolkit.lighting import estimate_light
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.compare import (
@@ -49,6 +50,14 @@ class RenderCompareConfig(RefinerConfig):
     use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
 
 
+@dataclass
+class _Scene:
+    """What is kept of a scene while its models live; nothing in it may refer to those, or they would live for ever."""
+
+    light: Float
+    clouds: dict[int, Cloud] = field(default_factory=dict[int, Cloud])
+
+
 class ImageRefiner(Plugin):
     """Base of the refiners: fused model against goal image. A subclass says which hypotheses there are."""
 
@@ -57,8 +66,7 @@ class ImageRefiner(Plugin):
 
     def __init__(self, config: PluginConfig | None = None) -> None:
         super().__init__(config)
-        self._clouds: WeakKeyDictionary[FusedModel, Cloud] = WeakKeyDictionary()
-        self._lights: WeakKeyDictionary[Models, Float] = WeakKeyDictionary()
+        self._scenes: WeakKeyDictionary[Models, _Scene] = WeakKeyDictionary()
 
     def search(self) -> Search:
         """How hypotheses are made."""
@@ -90,18 +98,16 @@ class ImageRefiner(Plugin):
             return None
         return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), self.search())
 
-    def _light(self, models: Models) -> Float:
-        if models not in self._lights:
-            self._lights[models] = estimate_light(models.all())
-        return self._lights[models]
-
     def _cloud(self, task: RefineTask) -> Cloud | Failure:
         model = task.models.get(task.instance)
         if isinstance(model, Failure):
             return model
-        if model not in self._clouds:
-            self._clouds[model] = Cloud(model, LEVELS_PX, self._light(task.models))
-        return self._clouds[model]
+        if task.models not in self._scenes:
+            self._scenes[task.models] = _Scene(estimate_light(task.models.all()))
+        scene = self._scenes[task.models]
+        if task.instance not in scene.clouds:
+            scene.clouds[task.instance] = Cloud(model, LEVELS_PX, scene.light)
+        return scene.clouds[task.instance]
 
     def _answer(self, verdict: Verdict, free: Float) -> Refined | Failure:
         sure, least = verdict.confidence, self.config.abstain_below
