@@ -26,10 +26,11 @@ from toolkit.metrics import pose_error
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
 from toolkit.refiners import align as alignment
 from toolkit.refiners.cloud import Cloud
-from toolkit.refiners.compare import all_rotations, yaw_rotations
+from toolkit.refiners.compare import Hypothesis, all_rotations, yaw_rotations
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.images import normalized
 from toolkit.refiners.likeness import unlikeness
+from toolkit.refiners.verdict import judge
 from toolkit.regions import lift_segment
 from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
 from toolkit.types import Abstention, Failure, Refined, Segment
@@ -231,6 +232,31 @@ def test_little_confidence_is_an_abstention(tasks):
     assert isinstance(answer, Abstention) and "confidence" in answer.reason
 
 
+def test_a_hidden_side_is_said_to_be_hidden(tasks):
+    """Two motions that score alike: named symmetric where nothing tells them apart, hidden where the far side would."""
+    task = next(iter(tasks.values()))
+    model = task.models.get(task.instance)
+    center = model.center
+    half_turn = rotation_z(np.pi)
+    half_turn[:3, 3] = center - half_turn[:3, :3] @ center
+    first = Hypothesis(half_turn, 0.9, 0.5, 0.1, 0.6, 1.0, np.eye(6))
+    second = replace(first, T_goal_current=np.eye(4), iou=0.89)
+    hidden = judge([first, second], _two_coloured(model, center), 0.03)
+    assert hidden.ambiguity == "hidden" and hidden.best is first and len(hidden.equivalents) == 2
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 180, endpoint=False), np.linspace(0, 0.1, 40))
+    can = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), height], axis=-1).reshape(-1, 3) + center
+    symmetric = judge([first, second], _likeness_model(can), 0.03)
+    assert symmetric.ambiguity == "symmetric" and symmetric.best is second
+    alone = judge([first, replace(second, iou=0.5)], _likeness_model(can), 0.03)
+    assert alone.ambiguity == "none" and alone.equivalents == (first,)
+    assert hidden.confidence < symmetric.confidence
+
+
+def _two_coloured(model, center):
+    left = model.points[:, 0] < center[0]
+    return replace(model, colors=np.where(left[:, None], [200, 30, 30], [30, 30, 200]).astype(np.float32))
+
+
 def test_a_mask_of_the_wrong_object_lowers_the_confidence(tasks):
     refiner = REFINERS.create("render_compare")
     first, second, *_ = tasks.values()
@@ -249,12 +275,14 @@ def _shrunk(region):
     return replace(region, points=region.points[:1], pixels=region.pixels[:1])
 
 
-def test_one_pixel_of_mask_crashes_nothing(tasks):
+def test_a_few_pixels_of_an_object_are_not_judged(tasks):
     task = next(iter(tasks.values()))
     mask = np.zeros_like(task.segment.mask)
     mask[240, 320] = True
     answer = REFINERS.create("render_compare").refine(replace(task, segment=Segment(mask)))
-    assert isinstance(answer, (Refined, Failure))
+    assert isinstance(answer, Abstention) and "1 pixels of the object are in view" in answer.reason
+    tried = REFINERS.create("render_compare", {"min_pixels": 1}).refine(replace(task, segment=Segment(mask)))
+    assert isinstance(tried, (Refined, Failure))
 
 
 def test_one_view_only_is_enough_to_try(capture):

@@ -1,7 +1,7 @@
 """Fit the refiners' confidence on one folder of captures and show how reliable it is on another.
 
-toolkit dataset build train --scenes 60 --seed 0
-toolkit dataset build test --scenes 20 --seed 0 --objects ../shared/objects
+toolkit dataset build train --scenes 150 --seed 0
+toolkit dataset build test --scenes 40 --seed 0 --objects ../shared/objects
 python experiments/benchmarks/confidence.py train test
 
 Every object gives its best hypothesis, and what would have been the best had the right ones been missing: wrong
@@ -57,15 +57,15 @@ def samples(capture_folder: Path) -> list[list[float]]:
         goal = view_goal(capture.goal, segment, [s for s in segments.values() if s is not segment])
         found = compare(Cloud(model, LEVELS_PX, light), goal, (), RenderCompare().search())
         errors = [pose_error(h.T_goal_current, capture.truth[i]) for h in found]
-        rows.append([*_judged_by(found, model, segment), float(errors[0].success_sym)])
+        rows.append([*_judged_by(found, model), float(errors[0].success_sym)])
         wrong = [h for h, e in zip(found, errors, strict=True) if not _near(e)]
         if 0 < len(wrong) < len(found):
-            rows.append([*_judged_by(wrong, model, segment), 0.0])
+            rows.append([*_judged_by(wrong, model), 0.0])
     return rows
 
 
-def _judged_by(found: list[Hypothesis], model: FusedModel, segment: Segment) -> Float:
-    return features(found, unlikeness(model, [h.T_goal_current for h in found]), int(segment.mask.sum()))
+def _judged_by(found: list[Hypothesis], model: FusedModel) -> Float:
+    return features(found, unlikeness(model, [h.T_goal_current for h in found]))
 
 
 def _near(error: PoseError) -> bool:

@@ -9,25 +9,23 @@ import numpy as np
 from toolkit.refiners.compare import Hypothesis
 from toolkit.types import Float
 
-_WEIGHTS = np.array([1.82, 4.32, -1.11, -1.4, 1.89, 0.69])
-_BIAS = -0.12
-"""Logistic regression on scenes of procedural objects (experiments/benchmarks/confidence.py)."""
+_WEIGHTS = np.array([2.162, 5.054, -1.369, -1.551, 2.416])
+_BIAS = -1.076
+"""Logistic regression on 150 scenes of procedural objects (experiments/benchmarks/confidence.py)."""
 
 _MOST_LEAD = 0.5
-_FULL_SIZE_PX = 1000
 
 
-def features(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> Float:
+def features(found: Sequence[Hypothesis], unlike: Float) -> Float:
     """What the best of ordered hypotheses is judged by.
 
     Args:
         found: hypotheses by falling score.
         unlike: (len(found),) how much each differs from the best in what all sides of the object show (`likeness`).
-        seen_px: pixels of the object in the goal image.
 
     Returns:
-        (6,) agreement of colours and of intensities, contrast, how far the model lies beside the object, lead over the
-        next hypothesis (greater where that is hardly another one), and size in the image.
+        (5,) agreement of colours and of intensities, contrast, how far the model lies beside the object, and lead over
+        the next hypothesis, greater where that is hardly another one.
     """
     best = found[0]
     leads = [
@@ -40,11 +38,10 @@ def features(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> Float:
             best.color,
             np.log1p(best.spill_px),
             min([_MOST_LEAD, *leads]),
-            np.log(min(seen_px, _FULL_SIZE_PX) / _FULL_SIZE_PX),
         ]
     )
 
 
-def confidence(found: Sequence[Hypothesis], unlike: Float, seen_px: int) -> float:
+def confidence(found: Sequence[Hypothesis], unlike: Float) -> float:
     """Probability 0..1 that the best hypothesis is within 5 deg and 2 cm of the truth; arguments as `features`."""
-    return float(1 / (1 + np.exp(-(features(found, unlike, seen_px) @ _WEIGHTS + _BIAS))))
+    return float(1 / (1 + np.exp(-(features(found, unlike) @ _WEIGHTS + _BIAS))))

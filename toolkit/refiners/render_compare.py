@@ -35,7 +35,8 @@ class RefinerConfig(PluginConfig):
     )
     patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
     iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
-    abstain_below: float = Field(0.0, ge=0, le=1, description="Answers of less confidence are withheld.")
+    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers of less confidence are withheld.")
+    min_pixels: int = Field(30, ge=1, description="An object of which the goal shows fewer pixels is not judged.")
     same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
 
 
@@ -78,6 +79,11 @@ class ImageRefiner(Plugin):
 
     def refine(self, task: RefineTask) -> Refined | Failure:
         """Return the hypothesis that agrees best with the goal image; see Refiner."""
+        seen = int(task.segment.mask.sum())
+        if seen < self.config.min_pixels:
+            return Abstention(
+                "refiner", f"{seen} pixels of the object are in view, at least {self.config.min_pixels} decide"
+            )
         starts, search = self.starts(task), self.search()
         if not starts and not len(search.rotations):
             return Failure("refiner", "there is no motion to refine")
@@ -87,9 +93,7 @@ class ImageRefiner(Plugin):
         found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
         if not found:
             return Failure("refiner", "no hypothesis stayed finite")
-        return self._answer(
-            judge(found, cloud.model, int(task.segment.mask.sum()), self.config.same_score), search.free
-        )
+        return self._answer(judge(found, cloud.model, self.config.same_score), search.free)
 
     def verify(self, task: RefineTask) -> float | None:
         """See Refiner."""

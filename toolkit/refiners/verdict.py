@@ -33,7 +33,7 @@ class Verdict:
     confidence: float
 
 
-def judge(found: Sequence[Hypothesis], model: FusedModel, seen_px: int, same_score: float) -> Verdict:
+def judge(found: Sequence[Hypothesis], model: FusedModel, same_score: float) -> Verdict:
     """Choose among hypotheses, best first.
 
     Of those that score as the best does and that nobody could tell from it, because the object is symmetric, the one
@@ -43,7 +43,6 @@ def judge(found: Sequence[Hypothesis], model: FusedModel, seen_px: int, same_sco
     Args:
         found: refined hypotheses by falling score.
         model: the object.
-        seen_px: pixels of the object in the goal image.
         same_score: scores this close to the best are as good.
     """
     unlike = unlikeness(model, [h.T_goal_current for h in found])
@@ -56,5 +55,5 @@ def judge(found: Sequence[Hypothesis], model: FusedModel, seen_px: int, same_sco
         found[best],
         (found[best], *(found[i] for i in others)),
         "hidden" if hidden else "symmetric" if others else "none",
-        confidence(found, unlike, seen_px),
+        confidence(found, unlike),
     )
