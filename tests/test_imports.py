@@ -12,12 +12,24 @@ import pytest
 import toolkit
 
 ROOT = Path(toolkit.__file__).parent
-STAGE_FOLDERS = ("segmenters", "associators", "descriptors", "indexes", "retrieval", "matchers", "pnp", "refiners")
+STAGE_FOLDERS = (
+    "segmenters",
+    "associators",
+    "descriptors",
+    "indexes",
+    "retrieval",
+    "matchers",
+    "pnp",
+    "refiners",
+    "planners",
+)
 
 LAYERS = [
     {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
     {"geometry"},
     {"types"},
+    {"footprints"},
+    {"moves"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
     {"stages", "database", "fusion", "assignment", "results", "pictures", "sim"},
     set(STAGE_FOLDERS),

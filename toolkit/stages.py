@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.fusion import RefineTask
+from toolkit.moves import Finished, Move, Table
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -131,6 +132,26 @@ class Refiner(Protocol):
         ...
 
 
+class Schedule(Protocol):
+    """The moves of one rearrangement, decided one at a time."""
+
+    def next(self, table: Table) -> Move | Finished:
+        """Return the next move from where things stand now, as they are seen or believed after the last move.
+
+        Args:
+            table: the same objects, in the same order, at every call.
+        """
+        ...
+
+
+class Planner(Protocol):
+    """Decides which object is moved where, and when (Sec. Method B)."""
+
+    def start(self, seed: int) -> Schedule:
+        """Begin a rearrangement. The same tables and seed give the same moves."""
+        ...
+
+
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",
     "toolkit.segmenters",
@@ -194,9 +215,15 @@ REFINERS: Registry[Refiner] = Registry(
     },
 )
 
+PLANNERS: Registry[Planner] = Registry(
+    "planner",
+    "toolkit.planners",
+    {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
+)
+
 REGISTRIES: dict[str, Registry[Any]] = {
     registry.stage: registry
-    for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP, REFINERS)
+    for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP, REFINERS, PLANNERS)
 }
 """Singular stage name -> registry, in pipeline order."""
 
