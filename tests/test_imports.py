@@ -34,6 +34,7 @@ LAYERS = [
     {"stages", "database", "fusion", "assignment", "results", "pictures", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "cache", "data", "report"},
+    {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
     {"ablate", "estimate"},

@@ -124,6 +124,36 @@ class Move:
     reason: str
 
 
+@dataclass(frozen=True, eq=False)
+class PickPlace:
+    """What an executor is asked to do.
+
+    Attributes:
+        points: (N, 3) seen points of the object where it stands, world coordinates.
+        T_place_pick: (4, 4) motion from where it stands to where it is to be put.
+        others: (M, 3) seen points of all other objects.
+    """
+
+    points: Float
+    T_place_pick: Float
+    others: Float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a PickPlace.
+
+    Attributes:
+        failure: why the object was not put where it should be; None where it was.
+        object: instance id of the object that was taken, where the executor knows.
+        seconds: how long the motion took, on the robot's clock.
+    """
+
+    failure: Failure | None
+    object: int | None = None
+    seconds: float = 0.0
+
+
 @dataclass(frozen=True)
 class Finished:
     """No further move.

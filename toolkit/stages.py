@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.fusion import RefineTask
-from toolkit.moves import Finished, Move, Table
+from toolkit.moves import Finished, Move, Outcome, PickPlace, Table
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -152,6 +152,43 @@ class Planner(Protocol):
         ...
 
 
+class Executor(Protocol):
+    """Moves objects and looks at the table: a simulator, a robot, or a recording.
+
+    Hardware implements the same six methods: `observe` drives a wrist camera to the predefined views, `pick_place`
+    grasps the object whose points it is given, and what goes wrong comes back as an `Outcome`.
+    """
+
+    def begin(self, task: Any) -> Frame:
+        """Take up a task and return its goal image.
+
+        Args:
+            task: for simulators a `toolkit.data.tabletop.TabletopScene`, whose objects they put on their table;
+                others may ignore it.
+        """
+        ...
+
+    def observe(self) -> list[Frame]:
+        """Return RGB-D frames of the table as it is, from the predefined views, the home view first."""
+        ...
+
+    def pick_place(self, request: PickPlace) -> Outcome:
+        """Pick one object up and put it down elsewhere. A failure is an Outcome, never an exception."""
+        ...
+
+    def home(self) -> None:
+        """Move out of the cameras' sight."""
+        ...
+
+    def state(self) -> Mapping[int, Float] | None:
+        """Return the true (4, 4) model-to-world poses by instance id where they are known; else None."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the task's resources."""
+        ...
+
+
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",
     "toolkit.segmenters",
@@ -220,10 +257,26 @@ PLANNERS: Registry[Planner] = Registry(
     "toolkit.planners",
     {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
 )
+EXECUTORS: Registry[Executor] = Registry(
+    "executor",
+    "toolkit.executors",
+    {"kinematic": "toolkit.executors.kinematic:Kinematic", "replay": "toolkit.executors.replay:Replay"},
+)
 
 REGISTRIES: dict[str, Registry[Any]] = {
     registry.stage: registry
-    for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP, REFINERS, PLANNERS)
+    for registry in (
+        SEGMENTERS,
+        ASSOCIATORS,
+        DESCRIPTORS,
+        INDEXES,
+        RETRIEVERS,
+        MATCHERS,
+        PNP,
+        REFINERS,
+        PLANNERS,
+        EXECUTORS,
+    )
 }
 """Singular stage name -> registry, in pipeline order."""
 
