@@ -195,6 +195,7 @@ class OptimalSchedule:
     def __init__(self, tries: int) -> None:
         self._tries = tries
         self._failed: dict[int, int] = {}
+        self._postponed: set[int] = set()
         self._queue: list[Move] = []
         self._expected: Table | None = None
         self._last: Move | None = None
@@ -202,26 +203,40 @@ class OptimalSchedule:
 
     def next(self, table: Table) -> Move | Finished:
         """See Schedule."""
-        table = self._without_stuck(table)
-        if self._expected is None or not _as_expected(table, self._expected):
-            found = plan(table)
-            self._queue, self._failures = list(found.moves), dict(found.failures)
-        if not self._queue:
-            return Finished(self._failures)
+        self._look_at_last(table)
+        while True:
+            held = self._hold(table)
+            if self._expected is None or not _as_expected(held, self._expected):
+                found = plan(held)
+                self._queue, self._failures = list(found.moves), dict(found.failures)
+            if self._queue:
+                return self._take(held)
+            if not self._postponed:
+                return Finished(self._failures)
+            self._postponed.clear()
+            self._expected = None
+
+    def _take(self, table: Table) -> Move:
         move = self._queue.pop(0)
         if move.to == "goal":
             move = table.item(move.object).to_goal(move.reason)
         self._expected, self._last = table.after(move), move
         return move
 
-    def _without_stuck(self, table: Table) -> Table:
-        """Count the last move as failed where its object is not where it was put; fix those that failed too often."""
+    def _look_at_last(self, table: Table) -> None:
+        """An object that is not where it was put has failed; it is tried again when nothing else is left to do."""
         last = self._last
         if last is not None and not _same_place(table.item(last.object).footprint, last.footprint):
             self._failed[last.object] = self._failed.get(last.object, 0) + 1
+            self._postponed.add(last.object)
         self._last = None
+
+    def _hold(self, table: Table) -> Table:
+        """The table with the objects fixed that are postponed, or have failed too often."""
         for object_id, count in self._failed.items():
             if count >= self._tries:
+                self._postponed.discard(object_id)
+            if count >= self._tries or object_id in self._postponed:
                 table = table.with_item(replace(table.item(object_id), fixed=True))
         return table
 
