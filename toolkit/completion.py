@@ -20,8 +20,9 @@ from toolkit.types import Float
 class MoveRow(SceneRow):
     """Where one true object ended, in one cell.
 
-    Errors are those of its true final pose against its true goal, symmetry-aware ones in `right_after`, which says
-    after which rounds it stood right; `success_sym` needs no `stage` and `reason`. `rounds`, `forced_buffers`, `scene_moves`, `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
+    Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
+    symmetry-aware. `stage` and `reason` say what kept it from its goal. `rounds`, `forced_buffers`, `scene_moves`,
+    `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
     """
 
     settings: dict[str, Any]

@@ -59,8 +59,8 @@ class PipelineChoice(PipelineSettings):
 class RearrangeChoice(EpisodeSettings):
     """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
 
-    planner: StageChoice = StageChoice(name="optimal")
-    executor: StageChoice = StageChoice(name="kinematic")
+    planner: StageChoice
+    executor: StageChoice
 
     @field_validator(*REARRANGE_SLOTS, mode="before")
     @classmethod
@@ -168,6 +168,8 @@ def load_experiment(
     data = _read_yaml(path)
     if rearranges:
         data.setdefault("rearrange", {})
+    if isinstance(data.get("rearrange"), dict):
+        data["rearrange"] = {"planner": "optimal", "executor": "kinematic", **data["rearrange"]}
     if any(len(values) > 1 for values in (overrides or {}).values()):
         _drop_sweep(data)
     for key, values in (overrides or {}).items():
