@@ -22,6 +22,7 @@ STAGE_FOLDERS = (
     "pnp",
     "refiners",
     "planners",
+    "grasps",
 )
 
 LAYERS = [

@@ -139,6 +139,25 @@ class PickPlace:
     others: Float
 
 
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """A pose of a parallel gripper that holds an object.
+
+    Attributes:
+        T_world_gripper: (4, 4); origin between the fingertips, x from one finger to the other, z the way it approaches.
+        opening: distance of the fingers before they close, metres.
+        score: 0..1, higher is better.
+    """
+
+    T_world_gripper: Float
+    opening: float
+    score: float
+
+    def placed(self, T_place_pick: Float) -> Float:
+        """(4, 4) pose of the gripper where it lets go: the motion applied to the grasp (Sec. Method)."""
+        return T_place_pick @ self.T_world_gripper
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What became of a PickPlace.

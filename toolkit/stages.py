@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.fusion import RefineTask
-from toolkit.moves import Finished, Move, Outcome, PickPlace, Table
+from toolkit.moves import Finished, Grasp, Move, Outcome, PickPlace, Table
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -152,6 +152,17 @@ class Planner(Protocol):
         ...
 
 
+class Grasper(Protocol):
+    """Finds grasps on an object of which only points are known (Sec. Method B)."""
+
+    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+        """Return grasps that touch nothing else, neither here nor where the object is put; best first.
+
+        A Failure says why there is none. The same request and seed give the same grasps.
+        """
+        ...
+
+
 class Executor(Protocol):
     """Moves objects and looks at the table: a simulator, a robot, or a recording.
 
@@ -257,6 +268,7 @@ PLANNERS: Registry[Planner] = Registry(
     "toolkit.planners",
     {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
 )
+GRASPERS: Registry[Grasper] = Registry("grasp", "toolkit.grasps", {"antipodal": "toolkit.grasps.antipodal:Antipodal"})
 EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",
@@ -275,6 +287,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
         PNP,
         REFINERS,
         PLANNERS,
+        GRASPERS,
         EXECUTORS,
     )
 }
