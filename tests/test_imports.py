@@ -32,7 +32,7 @@ LAYERS = [
     {"footprints"},
     {"moves"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
-    {"stages", "database", "fusion", "assignment", "results", "completion", "pictures", "sim"},
+    {"stages", "database", "fusion", "assignment", "results", "completion", "pictures", "film", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "sight", "episode", "cache", "data", "report"},
     {"executors"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -18,6 +19,7 @@ from toolkit.episode import EpisodeSettings, rearrange
 from toolkit.errors import ToolkitError
 from toolkit.executors.kinematic import Kinematic
 from toolkit.experiment import expand, load_experiment
+from toolkit.film import Film
 from toolkit.geometry import invert, make_transform, rotation_z
 from toolkit.metrics import pose_error
 from toolkit.rearrange import run_rearrangement
@@ -237,6 +239,29 @@ def test_perception_that_breaks_is_a_named_failure(scene, executor):
     episode = rearrange(scene, pipeline, PLANNERS.create("optimal"), executor, EpisodeSettings(), seed=0)
     assert episode.broken == Failure("pipeline", "ZeroDivisionError: oops")
     assert episode.moves == Counter()
+
+
+def test_a_film_shows_the_goal_beside_what_happens(scene, executor, tmp_path):
+    with Film(executor, tmp_path / "film.mp4", every=10):
+        run(scene, executor)
+    video = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    pictures = []
+    while (read := video.read())[0]:
+        pictures.append(read[1])
+    first, last = pictures[0].astype(float), pictures[-1].astype(float)
+    assert first.shape == (480, 1280, 3) and len(pictures) > 60
+
+    def differ(picture):
+        """Mean difference of the left half, the goal, and the right half, below the captions."""
+        return np.abs(picture[60:, :640] - picture[60:, 640:]).mean()
+
+    assert differ(last) < 0.5 * differ(first)
+    assert executor.on_step is None
+
+
+def test_a_film_that_cannot_be_written_is_one_sentence(scene, executor, tmp_path):
+    with pytest.raises(ToolkitError, match="cannot be written"), Film(executor, tmp_path / "nowhere" / "film.mp4"):
+        run(scene, executor)
 
 
 # Sights

@@ -142,6 +142,7 @@ def rearrange(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
     cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
+    film: Annotated[bool, typer.Option("--film", help="Film the first scene: film.mp4 in the run's folder.")] = False,
     *,
     choices: dict[str, Any],
 ) -> None:
@@ -166,7 +167,7 @@ def rearrange(
         plugin_files=tuple(choices["plugin"]),
     )
     loaded = read_experiment(experiment, choices, rearranges=True)
-    run = run_rearrangement(loaded, options, Progress(Console(stderr=True)))
+    run = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
     console = Console()
     print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
     console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)

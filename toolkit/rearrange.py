@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from toolkit.digests import digest
 from toolkit.episode import Episode, rearrange
 from toolkit.errors import ToolkitError
 from toolkit.experiment import Cell, Experiment, RearrangeChoice, create_stage, episode_settings, expand
+from toolkit.film import Film, Filmable
 from toolkit.geometry import invert
 from toolkit.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.parallel import run_parallel
@@ -42,16 +43,26 @@ class MoveTask:
         cell: all settings.
         cache: where stage outputs are kept, or None.
         plugin_files: plugin files to load first.
+        film: the MP4 file to film it into, or None.
     """
 
     scene_id: int
     cell: Cell
     cache: Cache | None
     plugin_files: tuple[Path, ...] = ()
+    film: Path | None = None
 
 
-def run_rearrangement(experiment: Experiment, options: RunOptions, progress: Progress | None = None) -> Path:
+def run_rearrangement(
+    experiment: Experiment, options: RunOptions, progress: Progress | None = None, *, film: bool = False
+) -> Path:
     """Rearrange every scene in every cell.
+
+    Args:
+        experiment: what to run.
+        options: how; nothing there changes a row.
+        progress: shows a bar.
+        film: film the first scene of the first cell that is still to be done, as film.mp4.
 
     Returns:
         The run's folder, with rows.jsonl, summary.csv, report.html, meta.json and experiment.resolved.yaml.
@@ -76,6 +87,8 @@ def run_rearrangement(experiment: Experiment, options: RunOptions, progress: Pro
         for cell in cells
         if scene_id < cell.dataset["scenes"] and (cell.name, scene_id) not in done
     ]
+    if film and tasks:
+        tasks[0] = replace(tasks[0], film=run / "film.mp4")
     with writable(f"'{run}'"):
         datasets = {digest(cell.dataset): cell.dataset for cell in cells}
         write_meta(run, weights, list(datasets.values()))
@@ -143,7 +156,7 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
     choice = _choice(task.cell)
     executor: Executor = create_stage(choice, "executor")
     seed = int(np.random.SeedSequence([task.cell.seed, task.scene_id]).generate_state(1)[0])
-    with closing(executor):
+    with closing(executor), _filmed(executor, task.film):
         episode = rearrange(
             scene, runner.pipeline, create_stage(choice, "planner"), executor, episode_settings(choice), seed
         )
@@ -151,6 +164,17 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
     if state is None:
         raise ToolkitError(f"executor '{choice.executor.name}' knows no true poses to measure against")
     return _score(task, scene, episode, state, runner.weights)
+
+
+@contextmanager
+def _filmed(executor: Executor, path: Path | None) -> Generator[None]:
+    if path is None:
+        yield
+        return
+    if not isinstance(executor, Filmable):
+        raise ToolkitError("this executor cannot be filmed; leave --film out")
+    with Film(executor, path):
+        yield
 
 
 def _score(

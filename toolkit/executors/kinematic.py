@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from toolkit.data.layout import RestingObject, resting_poses
 from toolkit.data.table import HALF_SIDE_M
-from toolkit.data.tabletop import Studio, TabletopScene
+from toolkit.data.tabletop import Studio, TabletopScene, home_camera
 from toolkit.executors.resting import settle
 from toolkit.footprints import Footprint
 from toolkit.geometry import make_transform, transform_points
@@ -18,7 +18,7 @@ from toolkit.moves import Outcome, PickPlace
 from toolkit.paths import cache_root
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.sim.solids import Solids
-from toolkit.types import Failure, Float, Frame
+from toolkit.types import Failure, Float, Frame, Image
 
 _CLEAR_M = 0.05
 """Height of the transfer above the highest object."""
@@ -56,17 +56,19 @@ class Kinematic(Plugin):
         self._solids = Solids([asset.hulls for asset in task.assets])
         for number, pose in enumerate(self._poses):
             self._solids.place(number, pose)
-        self.studio = Studio(task, cache_root())
-        return self.studio.goal()
+        self._studio = Studio(task, cache_root())
+        self._home = home_camera(task.config)
+        self._goal = self._studio.goal()
+        return self._goal
 
     def close(self) -> None:
         """See Executor."""
         self._solids.close()
-        self.studio.close()
+        self._studio.close()
 
     def observe(self) -> list[Frame]:
         """See Executor."""
-        return self.studio.current(self._poses)
+        return self._studio.current(self._poses)
 
     def home(self) -> None:
         """See Executor; there is no hand that could be in the way."""
@@ -74,6 +76,14 @@ class Kinematic(Plugin):
     def state(self) -> Mapping[int, Float]:
         """See Executor."""
         return dict(enumerate(self._poses))
+
+    def snapshot(self) -> Image:
+        """See Filmable."""
+        return self._studio.picture(self._home, self._poses)
+
+    def goal_picture(self) -> Image:
+        """See Filmable."""
+        return self._goal.rgb
 
     def pick_place(self, request: PickPlace) -> Outcome:
         """See Executor. An object that would hit another goes back to where it was."""
