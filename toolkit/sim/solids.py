@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolkit.sim.bullet import pybullet, silence
+from toolkit.sim.compound import add_compound
 from toolkit.types import Float
 
 _RAY_TOP_M = 2.0
@@ -34,11 +35,7 @@ class Solids:
             pybullet.disconnect(self.client)
 
     def _add(self, pieces: Sequence[Path]) -> int:
-        shape = pybullet.createCollisionShapeArray(
-            shapeTypes=[pybullet.GEOM_MESH] * len(pieces),
-            fileNames=[str(piece) for piece in pieces],
-            physicsClientId=self.client,
-        )
+        shape = add_compound(self.client, pieces)
         return int(pybullet.createMultiBody(0, shape, physicsClientId=self.client))
 
     def place(self, number: int, T_world_body: Float) -> None:
