@@ -12,6 +12,7 @@ from toolkit.cache import Cache
 from toolkit.data.bop import load_capture
 from toolkit.data.source import Dataset, open_dataset
 from toolkit.digests import digest
+from toolkit.errors import ToolkitError
 from toolkit.evaluate import write_case
 from toolkit.experiment import Cell, Experiment, expand
 from toolkit.parallel import run_parallel
@@ -59,6 +60,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, progress: Progre
         ToolkitError: anything a user can mend: bad settings, missing weights, a folder that cannot be written.
     """
     progress = progress or Progress()
+    if experiment.rearrange is not None:
+        raise ToolkitError(f"experiment '{experiment.name}' moves objects; run it with `toolkit rearrange`")
     cells = expand(experiment)
     weights = require_ready(cells)
     cache = Cache(cache_root() / "stages") if options.use_cache else None

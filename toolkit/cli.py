@@ -6,14 +6,15 @@ import inspect
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from toolkit.errors import ToolkitError
-from toolkit.slots import SLOTS
+from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:
     from toolkit.experiment import Cell, Experiment
@@ -33,16 +34,17 @@ ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's 
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
 
 
-def with_experiment_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add one option a pipeline slot, and --set, --plugin and --seed, to a command that takes an experiment.
+def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
+    """Add one option a slot, and --set, --plugin and --seed, to a command that takes an experiment.
 
     The command receives them together, as `choices`.
     """
+    slots = list(slots)
     own = [p for name, p in inspect.signature(command, eval_str=True).parameters.items() if name != "choices"]
-    options = dict.fromkeys(SLOTS, list[str]) | {"set": list[str], "plugin": list[Path]}
+    options = dict.fromkeys(slots, list[str]) | {"set": list[str], "plugin": list[Path]}
     helps = {
         slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps instead of the experiment's own sweep."
-        for slot in SLOTS
+        for slot in slots
     } | {
         "set": "path.to.key=v1,v2; several values sweep.",
         "plugin": "A plugin file that is not installed.",
@@ -75,17 +77,18 @@ def with_experiment_options(command: Callable[..., None]) -> Callable[..., None]
     return wrapper
 
 
-def read_experiment(name: str, choices: dict[str, Any]) -> Experiment:
+def read_experiment(name: str, choices: dict[str, Any], *, rearranges: bool = False) -> Experiment:
     """The experiment with the command line's choices applied."""
     from toolkit.experiment import load_experiment, parse_set, register_plugin_file
 
     for file in choices["plugin"]:
         register_plugin_file(file)
     overrides: dict[str, list[Any]] = {f"pipeline.{slot}": choices[slot] for slot in SLOTS if choices[slot]}
+    overrides |= {f"rearrange.{slot}": choices[slot] for slot in REARRANGE_SLOTS if choices.get(slot)}
     overrides |= dict(parse_set(option) for option in choices["set"])
     if choices["seed"] is not None:
         overrides["seed"] = [choices["seed"]]
-    return load_experiment(name, overrides)
+    return load_experiment(name, overrides, rearranges=rearranges)
 
 
 @app.command()
@@ -111,9 +114,7 @@ def ablate(
     from toolkit.results import print_table, read_rows, summarize
     from toolkit.runs import ROWS
 
-    for key, value in (("objects", objects), ("scenes", scenes)):
-        if value is not None:
-            choices["set"] = [*choices["set"], f"dataset.{key}={value}"]
+    _set_dataset(choices, objects=objects, scenes=scenes)
     console = Console()
     options = RunOptions(
         out=out,
@@ -126,6 +127,49 @@ def ablate(
     )
     run = run_experiment(read_experiment(experiment, choices), options, Progress(Console(stderr=True)))
     print_table(summarize(read_rows(run / ROWS)), console)
+    console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+@partial(with_experiment_options, slots=(*SLOTS, *REARRANGE_SLOTS))
+def rearrange(
+    experiment: ExperimentArgument = "rearrange",
+    objects: Annotated[str | None, typer.Option(help="'procedural', or a folder of scanned objects.")] = None,
+    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
+    backend: Annotated[str, typer.Option(help="joblib backend.")] = "loky",
+    out: OutOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
+    cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
+    film: Annotated[bool, typer.Option("--film", help="Film the first scene: film.mp4 in the run's folder.")] = False,
+    *,
+    choices: dict[str, Any],
+) -> None:
+    """Perceive, plan and move in simulation until every object stands at its goal; print how often that works."""
+    from rich.console import Console
+
+    from toolkit.ablate import RunOptions
+    from toolkit.completion import MoveRow, print_completion, summarize_completion
+    from toolkit.progress import Progress
+    from toolkit.rearrange import run_rearrangement
+    from toolkit.results import read_rows_as
+    from toolkit.runs import ROWS
+
+    _set_dataset(choices, objects=objects, scenes=scenes)
+    options = RunOptions(
+        out=out,
+        workers=workers or _cores(),
+        backend=backend,
+        resume=resume,
+        fresh=fresh,
+        use_cache=cache,
+        plugin_files=tuple(choices["plugin"]),
+    )
+    loaded = read_experiment(experiment, choices, rearranges=True)
+    run = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
+    console = Console()
+    print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
     console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
 
 
@@ -180,15 +224,21 @@ def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
     """Print a run's table again and write its report.html anew."""
     from rich.console import Console
 
-    from toolkit.report import write_report
-    from toolkit.results import print_table, read_rows, summarize
-    from toolkit.runs import ROWS
+    from toolkit.completion import MoveRow, print_completion, summarize_completion
+    from toolkit.report import write_completion_report, write_report
+    from toolkit.results import print_table, read_rows, read_rows_as, summarize
+    from toolkit.runs import ROWS, rearranges
 
     if not (run / ROWS).is_file():
         raise ToolkitError(f"'{run}' is not a run folder: it has no {ROWS}")
     console = Console()
-    print_table(summarize(read_rows(run / ROWS)), console)
-    console.print(f"\nReport: {write_report(run)}", highlight=False, soft_wrap=True)
+    if rearranges(run):
+        print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
+        page = write_completion_report(run)
+    else:
+        print_table(summarize(read_rows(run / ROWS)), console)
+        page = write_report(run)
+    console.print(f"\nReport: {page}", highlight=False, soft_wrap=True)
 
 
 @app.command("list")
@@ -270,6 +320,12 @@ def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captu
     for line in describe(dataset):
         console.print(line, highlight=False)
     console.print(f"Picture: {contact_sheet(dataset)}", highlight=False, soft_wrap=True)
+
+
+def _set_dataset(choices: dict[str, Any], **values: object) -> None:
+    """Turn options of the dataset that were given into `--set`."""
+    given = [f"dataset.{key}={value}" for key, value in values.items() if value is not None]
+    choices["set"] = [*choices["set"], *given]
 
 
 def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:

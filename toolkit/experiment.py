@@ -14,11 +14,14 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from toolkit.data.source import resolve_settings
+from toolkit.episode import EpisodeSettings
 from toolkit.errors import ToolkitError
 from toolkit.pipeline import PipelineSettings
 from toolkit.registry import Registry, load_plugin_file, suggest, validated
-from toolkit.slots import SLOTS
+from toolkit.slots import REARRANGE_SLOTS, SLOTS
 from toolkit.stages import REGISTRIES, register_module
+
+_ALL_SLOTS = SLOTS | REARRANGE_SLOTS
 
 
 class StageChoice(BaseModel):
@@ -53,6 +56,18 @@ class PipelineChoice(PipelineSettings):
         return {"name": value} if isinstance(value, str) else value
 
 
+class RearrangeChoice(EpisodeSettings):
+    """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
+
+    planner: StageChoice
+    executor: StageChoice
+
+    @field_validator(*REARRANGE_SLOTS, mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+
 class CellSpec(BaseModel):
     """A named cell of an experiment that is not a product: what it changes."""
 
@@ -73,6 +88,7 @@ class Experiment(BaseModel):
     plugins: tuple[Path, ...] = ()
     dataset: dict[str, Any]
     pipeline: dict[str, Any]
+    rearrange: dict[str, Any] | None = None
     cells: tuple[CellSpec, ...] = ()
     sweep: dict[str, list[Any]] = Field(default_factory=dict[str, list[Any]])
 
@@ -87,6 +103,7 @@ class Cell:
         seed: the experiment's seed.
         dataset: the `dataset:` part, with the sweep applied and every default written out.
         pipeline: the `pipeline:` part, checked.
+        rearrange: the `rearrange:` part, checked; None where the experiment has none.
     """
 
     name: str
@@ -94,22 +111,31 @@ class Cell:
     seed: int
     dataset: dict[str, Any]
     pipeline: PipelineChoice
+    rearrange: RearrangeChoice | None = None
 
     def resolved(self) -> dict[str, Any]:
         """Everything that decides this cell's results, with every default written out."""
-        pipeline = self.pipeline.model_dump(mode="json")
-        for slot, stage in SLOTS.items():
-            choice: StageChoice = getattr(self.pipeline, slot)
-            registry = REGISTRIES[stage]
-            config = registry.config(registry.get(choice.name), choice.settings)
-            pipeline[slot] = {"name": choice.name, **config.model_dump(mode="json")}
-        return {
+        resolved = {
             "cell": self.name,
             "settings": self.settings,
             "seed": self.seed,
             "dataset": self.dataset,
-            "pipeline": pipeline,
+            "pipeline": _resolved(self.pipeline, SLOTS),
         }
+        if self.rearrange is not None:
+            resolved["rearrange"] = _resolved(self.rearrange, REARRANGE_SLOTS)
+        return resolved
+
+
+def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) -> dict[str, Any]:
+    """A part of an experiment with every default of its stages written out."""
+    resolved = part.model_dump(mode="json")
+    for slot, stage in slots.items():
+        choice: StageChoice = getattr(part, slot)
+        registry = REGISTRIES[stage]
+        config = registry.config(registry.get(choice.name), choice.settings)
+        resolved[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+    return resolved
 
 
 def shipped_experiments() -> dict[str, Path]:
@@ -119,13 +145,16 @@ def shipped_experiments() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def load_experiment(name_or_path: str, overrides: Mapping[str, Sequence[Any]] | None = None) -> Experiment:
+def load_experiment(
+    name_or_path: str, overrides: Mapping[str, Sequence[Any]] | None = None, *, rearranges: bool = False
+) -> Experiment:
     """Read an experiment by shipped name or by path, and apply command-line overrides.
 
     Args:
         name_or_path: `quick`, or `my/experiment.yaml`.
         overrides: path -> values; one value replaces, several sweep. Such a sweep takes the place of the file's own,
             whose paths stay at their first value.
+        rearranges: an experiment without a `rearrange:` part gets one with every default.
 
     Raises:
         ToolkitError: no such experiment, YAML that does not parse (file and line), unknown keys or wrong values.
@@ -137,6 +166,10 @@ def load_experiment(name_or_path: str, overrides: Mapping[str, Sequence[Any]] | 
             raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
         path = shipped[name_or_path]
     data = _read_yaml(path)
+    if rearranges:
+        data.setdefault("rearrange", {})
+    if isinstance(data.get("rearrange"), dict):
+        data["rearrange"] = {"planner": "optimal", "executor": "kinematic", **data["rearrange"]}
     if any(len(values) > 1 for values in (overrides or {}).values()):
         _drop_sweep(data)
     for key, values in (overrides or {}).items():
@@ -170,7 +203,9 @@ def expand(experiment: Experiment) -> list[Cell]:
     for base in bases:
         for values in itertools.product(*experiment.sweep.values()):
             swept = dict(zip(paths, values, strict=True))
-            data = {"dataset": copy.deepcopy(experiment.dataset), "pipeline": copy.deepcopy(experiment.pipeline)}
+            data = copy.deepcopy({"dataset": experiment.dataset, "pipeline": experiment.pipeline})
+            if experiment.rearrange is not None:
+                data["rearrange"] = copy.deepcopy(experiment.rearrange)
             for path, value in {**base.set, **swept}.items():
                 _assign(data, path, value)
             parts = [base.name] if base.name else []
@@ -179,7 +214,8 @@ def expand(experiment: Experiment) -> list[Cell]:
             pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
             settings = {"cell": base.name, **swept} if base.name else swept
             dataset = resolve_settings(data["dataset"], experiment.seed)
-            cell = Cell(name, settings, experiment.seed, dataset, pipeline)
+            rearrange = validated(RearrangeChoice, data["rearrange"], "rearrange") if "rearrange" in data else None
+            cell = Cell(name, settings, experiment.seed, dataset, pipeline, rearrange)
             cell.resolved()
             cells.append(cell)
     names = [cell.name for cell in cells]
@@ -189,15 +225,20 @@ def expand(experiment: Experiment) -> list[Cell]:
     return cells
 
 
+def episode_settings(rearrange: RearrangeChoice) -> EpisodeSettings:
+    """The rearrangement's own settings, without the stage choices."""
+    return EpisodeSettings(**{name: getattr(rearrange, name) for name in EpisodeSettings.model_fields})
+
+
 def own_settings(pipeline: PipelineChoice) -> PipelineSettings:
     """The pipeline's own settings, without the stage choices."""
     return PipelineSettings(**{name: getattr(pipeline, name) for name in PipelineSettings.model_fields})
 
 
-def create_stage(pipeline: PipelineChoice, slot: str) -> Any:
+def create_stage(part: PipelineChoice | RearrangeChoice, slot: str) -> Any:
     """Make the implementation that fills one slot: a `Plugin` that follows the slot's Protocol."""
-    choice: StageChoice = getattr(pipeline, slot)
-    registry: Registry[Any] = REGISTRIES[SLOTS[slot]]
+    choice: StageChoice = getattr(part, slot)
+    registry: Registry[Any] = REGISTRIES[_ALL_SLOTS[slot]]
     return registry.create(choice.name, choice.settings)
 
 
@@ -254,19 +295,19 @@ def _assign(data: dict[str, Any], path: str, value: Any) -> None:
     node: Any = data
     for depth, key in enumerate(parents):
         child = node.get(key)
-        if isinstance(child, str) and key in SLOTS:
+        if isinstance(child, str) and key in _ALL_SLOTS:
             child = node[key] = {"name": child}
         if not isinstance(child, dict):
             where = ".".join(parents[: depth + 1])
             raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
         node = child
     same = isinstance(node.get(last), dict) and node[last].get("name") == value
-    if not (last in SLOTS and same):
+    if not (last in _ALL_SLOTS and same):
         node[last] = value
 
 
 def _short(path: str) -> str:
-    parts = path.removeprefix("pipeline.").removeprefix("dataset.").split(".")
+    parts = path.removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.").split(".")
     return parts[0] if parts[1:] == ["name"] else ".".join(parts)
 
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -22,19 +22,27 @@ from toolkit.stats import Interval, bootstrap_interval, wilson_interval
 from toolkit.types import Ambiguity, Float
 
 
-class Row(BaseModel):
+class SceneRow(BaseModel):
+    """What a run needs to know of any row: the cell and the scene it belongs to."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cell: str
+    scene_id: int
+
+
+RowT = TypeVar("RowT", bound=SceneRow)
+
+
+class Row(SceneRow):
     """One true object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
 
     `dataset` is the digest of the dataset's settings: rows of one dataset and `scene_id` are of the same scene.
     `success_equivalent`: this motion, or one that the goal image does not tell apart from it, is right.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    cell: str
     settings: dict[str, Any]
     dataset: str = ""
-    scene_id: int
     scene: str
     object: int
     object_name: str
@@ -61,7 +69,7 @@ class Row(BaseModel):
     weights: dict[str, str] = {}
 
 
-def append_rows(path: Path, rows: Sequence[Row]) -> None:
+def append_rows(path: Path, rows: Sequence[SceneRow]) -> None:
     """Append rows as JSON lines and force them to the disk, so that a killed run keeps them."""
     with path.open("a") as file:
         file.write("".join(row.model_dump_json() + "\n" for row in rows))
@@ -69,22 +77,27 @@ def append_rows(path: Path, rows: Sequence[Row]) -> None:
         os.fsync(file.fileno())
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
+def write_rows(path: Path, rows: Sequence[SceneRow]) -> None:
     """Replace a rows file, whole or not at all."""
     write_text(path, "".join(row.model_dump_json() + "\n" for row in rows))
 
 
 def read_rows(path: Path) -> list[Row]:
+    """Read the rows of an ablation or evaluation, as `read_rows_as`."""
+    return read_rows_as(Row, path)
+
+
+def read_rows_as(model: type[RowT], path: Path) -> list[RowT]:
     """Read a rows file. A torn last line, as a kill leaves it, is left out.
 
     Raises:
         ToolkitError: another line is not a row.
     """
     lines = path.read_text().splitlines()
-    rows: list[Row] = []
+    rows: list[RowT] = []
     for number, line in enumerate(lines, start=1):
         try:
-            rows.append(Row.model_validate_json(line))
+            rows.append(model.model_validate_json(line))
         except ValidationError as error:
             if number == len(lines):
                 break
@@ -193,8 +206,8 @@ def _p90(values: Float) -> float:
     return float(np.quantile(values, 0.9, method="inverted_cdf"))
 
 
-def write_summary(path: Path, summaries: Sequence[CellSummary]) -> None:
-    """Write summary.csv: one line a cell, every figure with its interval."""
+def write_summary(path: Path, summaries: Sequence[object]) -> None:
+    """Write summary.csv: one line a cell, every figure with its interval; summaries are dataclasses."""
     buffer = io.StringIO()
     lines = [_flat(summary) for summary in summaries]
     keys = list(dict.fromkeys(key for line in lines for key in line))
@@ -204,13 +217,13 @@ def write_summary(path: Path, summaries: Sequence[CellSummary]) -> None:
     write_text(path, buffer.getvalue())
 
 
-def _flat(summary: CellSummary) -> dict[str, Any]:
+def _flat(summary: object) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in vars(summary).items():
         if isinstance(value, Estimate):
             flat |= {key: value.value, f"{key}_low": value.interval[0], f"{key}_high": value.interval[1]}
         elif key == "time_ms":
-            flat |= {f"time_ms_{stage}": ms for stage, ms in summary.time_ms.items()}
+            flat |= {f"time_ms_{stage}": ms for stage, ms in value.items()}
         elif key != "settings":
             flat[key] = value
     return flat

@@ -20,7 +20,7 @@ from toolkit.cache import library_versions
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json, write_text
-from toolkit.results import read_rows, write_rows
+from toolkit.results import Row, SceneRow, read_rows_as, write_rows
 
 ROWS = "rows.jsonl"
 RESOLVED = "experiment.resolved.yaml"
@@ -61,16 +61,22 @@ def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path
     raise ToolkitError(f"{where} holds no run with these settings to resume; leave --resume out to start one")
 
 
-def finished(run: Path) -> set[tuple[str, int]]:
-    """(cell, scene) pairs that already have all their rows.
+def finished(run: Path, model: type[SceneRow] = Row) -> set[tuple[str, int]]:
+    """(cell, scene) pairs that already have all their rows, which are of type `model`.
 
     The last pair in the file may lack rows when the run was killed while they were written, so it is cut off and done
     again, as is a torn last line.
     """
-    rows = read_rows(run / ROWS) if (run / ROWS).exists() else []
+    rows = read_rows_as(model, run / ROWS) if (run / ROWS).exists() else []
     whole = [row for row in rows if (row.cell, row.scene_id) != (rows[-1].cell, rows[-1].scene_id)]
     write_rows(run / ROWS, whole)
     return {(row.cell, row.scene_id) for row in whole}
+
+
+def rearranges(run: Path) -> bool:
+    """Say whether a run rearranged scenes, or only estimated poses: its rows differ."""
+    settings: Any = yaml.safe_load((run / RESOLVED).read_text()) if (run / RESOLVED).exists() else {}
+    return any("rearrange" in cell for cell in settings.get("cells", []))
 
 
 def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]) -> None:

@@ -12,3 +12,6 @@ SLOTS: dict[str, str] = {
     "refiner": "refiner",
 }
 """Pipeline slot -> the stage that fills it. Every slot is a command-line option and a key under `pipeline`."""
+
+REARRANGE_SLOTS: dict[str, str] = {"planner": "planner", "executor": "executor"}
+"""The same under `rearrange`: options of `toolkit rearrange` only."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.fusion import RefineTask
+from toolkit.moves import Finished, Grasp, Move, Outcome, PickPlace, Table
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -138,6 +139,74 @@ class Refiner(Protocol):
         ...
 
 
+class Schedule(Protocol):
+    """The moves of one rearrangement, decided one at a time."""
+
+    def next(self, table: Table) -> Move | Finished:
+        """Return the next move from where things stand now, as they are seen or believed after the last move.
+
+        Args:
+            table: the same objects, in the same order, at every call.
+        """
+        ...
+
+
+class Planner(Protocol):
+    """Decides which object is moved where, and when (Sec. Method B)."""
+
+    def start(self, seed: int) -> Schedule:
+        """Begin a rearrangement. The same tables and seed give the same moves."""
+        ...
+
+
+class Grasper(Protocol):
+    """Finds grasps on an object of which only points are known (Sec. Method B)."""
+
+    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+        """Return grasps that touch nothing else, neither here nor where the object is put; best first.
+
+        A Failure says why there is none. The same request and seed give the same grasps.
+        """
+        ...
+
+
+class Executor(Protocol):
+    """Moves objects and looks at the table: a simulator, a robot, or a recording.
+
+    Hardware implements the same six methods: `observe` drives a wrist camera to the predefined views, `pick_place`
+    grasps the object whose points it is given, and what goes wrong comes back as an `Outcome`.
+    """
+
+    def begin(self, task: Any) -> Frame:
+        """Take up a task and return its goal image.
+
+        Args:
+            task: for simulators a `toolkit.data.tabletop.TabletopScene`, whose objects they put on their table;
+                others may ignore it.
+        """
+        ...
+
+    def observe(self) -> list[Frame]:
+        """Return RGB-D frames of the table as it is, from the predefined views, the home view first."""
+        ...
+
+    def pick_place(self, request: PickPlace) -> Outcome:
+        """Pick one object up and put it down elsewhere. A failure is an Outcome, never an exception."""
+        ...
+
+    def home(self) -> None:
+        """Move out of the cameras' sight."""
+        ...
+
+    def state(self) -> Mapping[int, Float] | None:
+        """Return the true (4, 4) model-to-world poses by instance id where they are known; else None."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the task's resources."""
+        ...
+
+
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",
     "toolkit.segmenters",
@@ -202,9 +271,33 @@ REFINERS: Registry[Refiner] = Registry(
     },
 )
 
+PLANNERS: Registry[Planner] = Registry(
+    "planner",
+    "toolkit.planners",
+    {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
+)
+GRASPERS: Registry[Grasper] = Registry("grasp", "toolkit.grasps", {"antipodal": "toolkit.grasps.antipodal:Antipodal"})
+EXECUTORS: Registry[Executor] = Registry(
+    "executor",
+    "toolkit.executors",
+    {"kinematic": "toolkit.executors.kinematic:Kinematic", "replay": "toolkit.executors.replay:Replay"},
+)
+
 REGISTRIES: dict[str, Registry[Any]] = {
     registry.stage: registry
-    for registry in (SEGMENTERS, ASSOCIATORS, DESCRIPTORS, INDEXES, RETRIEVERS, MATCHERS, PNP, REFINERS)
+    for registry in (
+        SEGMENTERS,
+        ASSOCIATORS,
+        DESCRIPTORS,
+        INDEXES,
+        RETRIEVERS,
+        MATCHERS,
+        PNP,
+        REFINERS,
+        PLANNERS,
+        GRASPERS,
+        EXECUTORS,
+    )
 }
 """Singular stage name -> registry, in pipeline order."""
 

@@ -135,7 +135,7 @@ def run_scene(task: SceneTask) -> list[Row]:
     capture = load_capture(task.capture)
     rows: list[Row] = []
     for cell in task.cells:
-        runner = _runner(cell, task.cache)
+        runner = get_runner(cell, task.cache)
         key = digest([runner.identity, capture.digest, task.scene_id])
         stored = task.cache.load(key) if task.cache else None
         if stored is None:
@@ -150,25 +150,26 @@ def run_scene(task: SceneTask) -> list[Row]:
 
 
 def run_scene_in_process(task: SceneTask) -> tuple[SceneTask, list[Row]]:
-    """`run_scene` in a worker process: one thread a process, so that workers do not fight for cores."""
-    cv2.setNumThreads(1)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
-    _load_plugins(task.plugin_files)
+    """`run_scene` in a worker process."""
+    prepare_process(task.plugin_files)
     return task, run_scene(task)
 
 
 @lru_cache
-def _load_plugins(files: tuple[Path, ...]) -> None:
-    for file in files:
+def prepare_process(plugin_files: tuple[Path, ...]) -> None:
+    """Make a worker process ready: one thread, so that workers do not fight for cores, and its plugin files."""
+    cv2.setNumThreads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    for file in plugin_files:
         register_plugin_file(file)
 
 
 _runners: dict[str, CellRunner] = {}
 
 
-def _runner(cell: Cell, cache: Cache | None) -> CellRunner:
-    """Runners stay in their process: a network is loaded once, not once a scene."""
+def get_runner(cell: Cell, cache: Cache | None) -> CellRunner:
+    """The runner of a cell. Runners stay in their process: a network is loaded once, not once a scene."""
     key = json.dumps([cell.resolved(), str(cache)], sort_keys=True)
     if key not in _runners:
         _runners[key] = make_runner(cell, cache)

@@ -43,6 +43,7 @@ class RestingObject:
         return float(self.support.max())
 
 
+@lru_cache(maxsize=512)
 def resting_poses(asset: ObjectAsset) -> list[RestingObject]:
     """Stable poses of an asset, the natural one first: upright (z up) where that is stable, else the most probable.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +22,7 @@ from toolkit.geometry import look_at, make_transform
 from toolkit.registry import PluginConfig
 from toolkit.sim.bullet import Renderer, best_renderer
 from toolkit.sim.world import Light, World
-from toolkit.types import Camera, Float, Frame, Mask, TrueObject
+from toolkit.types import Camera, Float, Frame, Image, Mask, TrueObject
 
 Effect = Literal["depth", "quantization", "dropout", "color", "light", "pose"]
 _TRACKS: dict[str, tuple[Effect, ...]] = {
@@ -79,13 +78,29 @@ class TabletopConfig(PluginConfig):
         return _TRACKS[self.track] if self.noise is None else self.noise
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """What stands where, before and after."""
+@dataclass(frozen=True, eq=False)
+class TabletopScene:
+    """What stands where, before and after.
 
+    Attributes:
+        config: the benchmark's settings.
+        number: of the scene in the benchmark.
+        assets: the objects; an object's position is its instance id.
+        current: (4, 4) model to world of every object now.
+        goal: the same in the goal scene.
+    """
+
+    config: TabletopConfig
+    number: int
     assets: tuple[ObjectAsset, ...]
     current: tuple[Float, ...]
     goal: tuple[Float, ...]
+
+    @property
+    def truth(self) -> dict[int, TrueObject]:
+        """True objects by instance id."""
+        poses = zip(self.assets, self.current, self.goal, strict=True)
+        return {i: TrueObject(asset.model, current, goal, i) for i, (asset, current, goal) in enumerate(poses)}
 
 
 def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder: Path, cache: Path) -> None:
@@ -96,30 +111,73 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
     Raises:
         ToolkitError: there are fewer objects than asked for, or the table does not hold them.
     """
-    scene = _draw(config, objects, number, cache)
-    truth = {i: TrueObject(asset.model, scene.current[i], scene.goal[i], i) for i, asset in enumerate(scene.assets)}
-    noise_rng = _generator(config, number, "noise")
-    home = home_camera(config)
-    lights = _lights(config, noise_rng)
-    supersample = config.supersample if config.renderer == "tiny" else 1
-    with World(config.renderer) as world:
+    scene = draw_scene(config, objects, number, cache)
+    with Studio(scene, cache) as studio:
+        goal = studio.goal()
+        write_capture(folder, studio.current(scene.current), goal, scene.truth)
+
+
+class Studio:
+    """A scene's objects on their table, and the cameras around it; use it as a context manager.
+
+    Noise comes from the scene's own generator: the same pictures in the same order are the same to the bit.
+
+    Args:
+        scene: what to show.
+        cache: where the table's files are kept.
+
+    Raises:
+        ToolkitError: the renderer does not load here.
+    """
+
+    def __init__(self, scene: TabletopScene, cache: Path) -> None:
+        self._config = scene.config
+        self._goal_poses = scene.goal
+        self._rng = _generator(scene.config, scene.number, "noise")
+        self._goal_light, self._light = _lights(scene.config, self._rng)
+        self._world = World(scene.config.renderer)
         visuals = [(asset.mesh, asset.texture) for asset in scene.assets]
-        _, *bodies = world.add_visuals([table_files(config.table, cache), *visuals])
+        _, *self._bodies = self._world.add_visuals([table_files(scene.config.table, cache), *visuals])
 
-        def shoot(index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
-            seen = _jitter(camera, noise_rng) if "pose" in config.effects else camera
-            rgb, z, ids = world.render(seen, light, supersample)
-            rgb[ids < 0] = _BACKGROUND
-            masks: dict[int, Mask] = {i: ids == body for i, body in enumerate(bodies)}
-            masks = {i: mask for i, mask in masks.items() if mask.any()}
-            rgb, z = _degrade(rgb, z, config.effects, noise_rng)
-            return Frame(index, rgb, camera, z if depth else None, masks)
+    def __enter__(self) -> Studio:
+        return self
 
-        world.move_all(bodies, scene.goal)
-        goal = shoot(0, home, lights[0], depth=False)
-        world.move_all(bodies, scene.current)
-        current = [shoot(i, c, lights[1], depth=True) for i, c in enumerate(ring_cameras(config))]
-    write_capture(folder, current, goal, truth)
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the simulator."""
+        self._world.close()
+
+    def goal(self) -> Frame:
+        """The goal image, from the home view."""
+        self._world.move_all(self._bodies, self._goal_poses)
+        return self._shoot(0, home_camera(self._config), self._goal_light, depth=False)
+
+    def current(self, poses: Sequence[Float]) -> list[Frame]:
+        """RGB-D frames from the predefined views, with every object at its (4, 4) pose."""
+        self._world.move_all(self._bodies, poses)
+        return [self._shoot(i, c, self._light, depth=True) for i, c in enumerate(ring_cameras(self._config))]
+
+    def picture(self, camera: Camera, poses: Sequence[Float]) -> Image:
+        """(H, W, 3) uint8 without noise, for people to look at."""
+        self._world.move_all(self._bodies, poses)
+        rgb, _, ids = self._world.render(camera, self._light, self._supersample)
+        rgb[ids < 0] = _BACKGROUND
+        return rgb
+
+    @property
+    def _supersample(self) -> int:
+        return self._config.supersample if self._config.renderer == "tiny" else 1
+
+    def _shoot(self, index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
+        seen = _jitter(camera, self._rng) if "pose" in self._config.effects else camera
+        rgb, z, ids = self._world.render(seen, light, self._supersample)
+        rgb[ids < 0] = _BACKGROUND
+        masks: dict[int, Mask] = {i: ids == body for i, body in enumerate(self._bodies)}
+        masks = {i: mask for i, mask in masks.items() if mask.any()}
+        rgb, z = _degrade(rgb, z, self._config.effects, self._rng)
+        return Frame(index, rgb, camera, z if depth else None, masks)
 
 
 def home_camera(config: TabletopConfig) -> Camera:
@@ -144,7 +202,12 @@ def _generator(config: TabletopConfig, number: int, purpose: str) -> np.random.G
     return np.random.default_rng(np.random.SeedSequence([config.seed, number, *purpose.encode()]))
 
 
-def _draw(config: TabletopConfig, objects: ObjectSet, number: int, cache: Path) -> _Scene:
+def draw_scene(config: TabletopConfig, objects: ObjectSet, number: int, cache: Path) -> TabletopScene:
+    """Draw what stands where in scene `number`; files of recoloured objects are kept below `cache`.
+
+    Raises:
+        ToolkitError: there are fewer objects than asked for, or the table does not hold them.
+    """
     rng = _generator(config, number, "layout")
     most = config.max_objects
     if config.min_objects > most:
@@ -154,23 +217,18 @@ def _draw(config: TabletopConfig, objects: ObjectSet, number: int, cache: Path) 
     count = int(rng.integers(config.min_objects, most + 1))
     chosen = sorted(rng.choice(len(objects.assets), count, replace=False).tolist())
     assets = with_lookalikes([objects.assets[i] for i in chosen], config.lookalikes, cache)
-    rests = [_rests(asset) for asset in assets]
+    rests = [resting_poses(asset) for asset in assets]
     now = [rest[0] for rest in rests]
     then = [_other(rest, rng) for rest in rests] if config.poses == "stable" else now
     yaws = rng.uniform(-np.pi, np.pi, count)
     turns = np.radians(rng.uniform(-config.rotation_deg, config.rotation_deg, count))
     goal = arrange(then, yaws.tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
     current = arrange(now, (yaws + turns).tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
-    return _Scene(assets, _poses(current, now), _poses(goal, then))
+    return TabletopScene(config, number, assets, _poses(current, now), _poses(goal, then))
 
 
 def _poses(placements: Sequence[Placement], rests: Sequence[RestingObject]) -> tuple[Float, ...]:
     return tuple(placement.pose(rest) for placement, rest in zip(placements, rests, strict=True))
-
-
-@lru_cache(maxsize=512)
-def _rests(asset: ObjectAsset) -> list[RestingObject]:
-    return resting_poses(asset)
 
 
 def _other(rests: list[RestingObject], rng: np.random.Generator) -> RestingObject:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib
 import numpy as np
@@ -12,10 +12,13 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from toolkit.completion import MoveRow
 from toolkit.results import CellSummary, Row, errors
 from toolkit.stats import wilson_interval
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800", "#888888")
+
+AnyRow = TypeVar("AnyRow", Row, MoveRow)
 
 _RELIABILITY_BINS = 8
 
@@ -71,7 +74,7 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
     return _svg(draw, (10, 3.8))
 
 
-def success_by(rows: Sequence[Row], colors: dict[str, str], key: Callable[[Row], Any], label: str) -> str:
+def success_by(rows: Sequence[AnyRow], colors: dict[str, str], key: Callable[[AnyRow], Any], label: str) -> str:
     """Success with its Wilson interval, by a property of the row."""
 
     def draw(figure: Figure) -> None:

@@ -1,0 +1,109 @@
+"""Surface normals of a point cloud, and pairs of points that two fingers can squeeze."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from toolkit.types import Float
+
+_NEIGHBOURS = 16
+_LINE_M = 0.004
+"""Points this near to the line through a contact lie on it."""
+
+_WALL_M = 0.004
+"""Thickness taken for walls that are seen from one side only, or too thin to tell their sides apart."""
+
+_BATCH = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Pairs of opposite contacts.
+
+    Attributes:
+        first: (C, 3) world points.
+        second: (C, 3) world points.
+        alignment: (C,) cosine of the larger angle between the line of a pair and its two normals.
+    """
+
+    first: Float
+    second: Float
+    alignment: Float
+
+    def __len__(self) -> int:
+        return len(self.alignment)
+
+
+def wall_pairs(points: Float, directions: Float, count: int, rng: np.random.Generator) -> Contacts:
+    """Drawn points taken for thin walls, as of bowls and mugs, with a finger on each side.
+
+    Whether there is a way in on both sides is for a collision check to say.
+    """
+    chosen = rng.permutation(len(points))[:count]
+    half = _WALL_M / 2 * directions[chosen]
+    return Contacts(points[chosen] - half, points[chosen] + half, np.ones(len(chosen)))
+
+
+def thin_out(points: Float, spacing: float) -> Float:
+    """(M, 3) means of (N, 3) points over cells of a grid."""
+    cells = np.floor((points - points.min(axis=0)) / spacing).astype(np.int64)
+    _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(inverse.ravel(), column, len(counts)) for column in points.T], axis=1)
+    return sums / counts[:, None]
+
+
+def normals(points: Float) -> Float:
+    """(N, 3) unit normals of (N, 3) points, signs left open: the direction its neighbours vary least in."""
+    count = min(_NEIGHBOURS, len(points))
+    _, neighbours = KDTree(points).query(points, count)
+    near = points[neighbours.reshape(len(points), -1)]
+    centered = near - near.mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centered, centered))
+    return vectors[:, :, 0]
+
+
+def antipodal_pairs(
+    points: Float, directions: Float, widest: float, friction: float, count: int, rng: np.random.Generator
+) -> Contacts:
+    """Pairs that are in force closure with friction (Nguyen, "Constructing force-closure grasps", IJRR 1988).
+
+    From drawn points, along their normals, to the last point on that line within the opening: the line must lie in the
+    friction cones of both.
+
+    Args:
+        points: (N, 3) the object's surface, metres.
+        directions: (N, 3) its normals, signs open.
+        widest: longest pair.
+        friction: coefficient of Coulomb friction.
+        count: points drawn.
+        rng: the only source of chance.
+    """
+    chosen = rng.permutation(len(points))[:count]
+    limit = np.cos(np.arctan(friction))
+    pairs: list[tuple[Float, Float, Float]] = []
+    for start in range(0, len(chosen), _BATCH):
+        batch = chosen[start : start + _BATCH]
+        for sign in (1.0, -1.0):
+            along = sign * directions[batch]
+            offsets = points[None] - points[batch][:, None]
+            t = np.einsum("bni,bi->bn", offsets, along)
+            aside = np.linalg.norm(offsets - t[..., None] * along[:, None], axis=2)
+            on_line = (aside < _LINE_M) & (t > _LINE_M)
+            longest = np.where(on_line, t, -np.inf).max(axis=1)
+            last = np.where(on_line, t, -np.inf).argmax(axis=1)
+            fits = (longest > 2 * _LINE_M) & (longest <= widest)
+            a, b = points[batch[fits]], points[last[fits]]
+            line = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+            cosines = np.stack(
+                [
+                    np.abs((line * directions[batch[fits]]).sum(axis=1)),
+                    np.abs((line * directions[last[fits]]).sum(axis=1)),
+                ]
+            )
+            closed = cosines.min(axis=0) >= limit
+            pairs.append((a[closed], b[closed], cosines.min(axis=0)[closed]))
+    first, second, alignment = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    return Contacts(first, second, alignment)

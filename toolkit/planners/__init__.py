@@ -1,0 +1,1 @@
+"""Which object is moved where, and when (Sec. Method B)."""

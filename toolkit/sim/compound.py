@@ -1,0 +1,38 @@
+"""Collision shapes of many convex pieces."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, cast
+
+import trimesh
+
+from toolkit.sim.bullet import pybullet
+
+
+def add_compound(client: int, hulls: Sequence[Path]) -> int:
+    """Make one collision shape of convex meshes (OBJ or STL) in a client; returns its id.
+
+    PyBullet's own list of shapes ends at 16 and drops the rest without a word; the objects of one OBJ file become
+    pieces without such a limit. It keeps what it read by file name, so the name is a new one every time.
+    """
+    with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
+        file = Path(folder) / "compound.obj"
+        file.write_text(_obj_text(tuple(hulls)))
+        return int(pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(file), physicsClientId=client))
+
+
+@lru_cache(maxsize=512)
+def _obj_text(hulls: tuple[Path, ...]) -> str:
+    lines: list[str] = []
+    seen = 0
+    for number, hull in enumerate(hulls):
+        mesh = cast(Any, trimesh.load(hull, force="mesh")).convex_hull
+        lines.append(f"o piece_{number}")
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices]
+        lines += ["f " + " ".join(str(seen + 1 + vertex) for vertex in face) for face in mesh.faces]
+        seen += len(mesh.vertices)
+    return "\n".join(lines) + "\n"
