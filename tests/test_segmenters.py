@@ -158,6 +158,42 @@ def test_light_that_changes_is_not_an_object() -> None:
     assert min(ious(goal, segments)) > 0.8
 
 
+def in_shadow(frame: Frame, strength: float) -> Frame:
+    """The frame with a soft-edged disc of the table, 24 cm across, in a shadow that nothing in sight casts."""
+    T = frame.camera.T_world_camera
+    rays = pixel_rays(frame).astype(np.float64) @ T[:3, :3].T
+    ground = T[:3, 3] - T[2, 3] / rays[..., 2:] * rays
+    distance = np.hypot(ground[..., 0] + 0.25, ground[..., 1] - 0.25)
+    shade = 1 - strength * ((0.125 - distance) / 0.01).clip(0, 1)
+    assert frame.true_masks is not None
+    on_object = np.any([np.zeros((HEIGHT, WIDTH), bool), *frame.true_masks.values()], axis=0)
+    shade[on_object] = 1
+    rgb = np.rint(frame.rgb * shade[..., None]).astype(np.uint8)
+    return Frame(frame.index, rgb, frame.camera, frame.depth, frame.true_masks)
+
+
+@pytest.mark.parametrize("name", ["table_appearance"])
+@pytest.mark.parametrize("strength", [0.15, 0.35])
+@pytest.mark.parametrize("where", ["current", "goal"])
+def test_a_shadow_is_not_an_object(name: str, strength: float, where: str) -> None:
+    current, goal = ring(NOW), image_for(name, THEN)
+    if where == "goal":
+        goal = in_shadow(goal, strength)
+    else:
+        current = [in_shadow(frame, strength) for frame in current]
+    segments = SEGMENTERS.create(name).segment(goal, current)
+    assert len(segments) == len(THEN)
+    assert min(ious(goal, segments)) > 0.8
+
+
+def test_an_object_of_the_tables_colour_is_no_shadow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "COLOURS", np.array([[119, 98, 70], [40, 60, 190], [136, 112, 80]], np.uint8))
+    goal = image_for("table_appearance", THEN)
+    segments = SEGMENTERS.create("table_appearance").segment(goal, ring(NOW))
+    assert len(segments) == len(THEN)
+    assert min(ious(goal, segments)) > 0.7
+
+
 def test_touching_objects_are_split_by_what_the_current_scene_knows() -> None:
     touching: list[Box] = [
         ((-0.04, 0, 0), (0.08, 0.12, 0.1)),

@@ -79,6 +79,7 @@ def _run(command: list[str], what: str) -> None:
     except subprocess.TimeoutExpired as error:
         raise OSError(f"{what} within {_TIMEOUT_S // 60} minutes") from error
     if done.returncode:
-        complaints = (line.strip() for line in done.stderr.splitlines() if "error" in line.lower())
+        lines = [line.strip() for line in done.stderr.splitlines()]
+        complaints = (line for line in lines if "error" in line.lower() and not line.startswith("WARNING"))
         reason = next(complaints, f"exit code {done.returncode}")
         raise OSError(f"{what} ({reason}); is the package index reachable?")
