@@ -137,6 +137,7 @@ SEGMENTERS: Registry[Segmenter] = Registry(
     {
         "oracle": "toolkit.segmenters.oracle:OracleSegmenter",
         "depth_plane": "toolkit.segmenters.depth_plane:DepthPlaneSegmenter",
+        "mobile_sam": "toolkit.segmenters.mobile_sam:MobileSamSegmenter",
         "table_appearance": "toolkit.segmenters.table_appearance:TableAppearanceSegmenter",
     },
 )
