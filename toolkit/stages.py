@@ -173,7 +173,12 @@ RETRIEVERS: Registry[Retriever] = Registry(
 MATCHERS: Registry[Matcher] = Registry(
     "matcher",
     "toolkit.matchers",
-    {"sift": "toolkit.matchers.sift:SiftMatcher", "loftr": "toolkit.matchers.loftr:LoftrMatcher"},
+    {
+        "sift": "toolkit.matchers.sift:SiftMatcher",
+        "loftr": "toolkit.matchers.loftr:LoftrMatcher",
+        "xfeat_lighterglue": "toolkit.matchers.xfeat_lighterglue:XFeatLighterGlue",
+        "aliked_lightglue": "toolkit.matchers.aliked_lightglue:AlikedLightGlue",
+    },
 )
 PNP: Registry[PnP] = Registry(
     "pnp",
