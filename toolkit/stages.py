@@ -177,6 +177,7 @@ MATCHERS: Registry[Matcher] = Registry(
         "sift": "toolkit.matchers.sift:SiftMatcher",
         "loftr": "toolkit.matchers.loftr:LoftrMatcher",
         "xfeat_lighterglue": "toolkit.matchers.xfeat_lighterglue:XFeatLighterGlue",
+        "disk_lightglue": "toolkit.matchers.disk_lightglue:DiskLightGlue",
         "aliked_lightglue": "toolkit.matchers.aliked_lightglue:AlikedLightGlue",
     },
 )

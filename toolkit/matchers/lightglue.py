@@ -132,7 +132,8 @@ def glue_names(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """The names of the authors' checkpoints as kornia's module has them; what is not LightGlue's is left out."""
     named: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
-        if name.startswith("extractor."):
+        # DISK's checkpoint holds a scalar a layer that no published LightGlue reads.
+        if name.startswith("extractor.") or name.endswith(".r"):
             continue
         part, _, rest = name.removeprefix("matcher.").partition(".")
         if part in ("self_attn", "cross_attn"):
