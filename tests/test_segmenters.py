@@ -15,7 +15,7 @@ from toolkit.segmenters.clusters import inside_hull, table_hull
 from toolkit.segmenters.plane import fit_plane, pixel_rays
 from toolkit.segmenters.split import neck_cuts
 from toolkit.segmenters.table_map import render_table, scan_table
-from toolkit.stages import SEGMENTERS
+from toolkit.stages import SEGMENTERS, Segmenter
 from toolkit.types import Camera, Frame
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -88,6 +88,17 @@ def image_for(name: str, boxes: Sequence[Box], noise: float = 0.0) -> Frame:
     return shoot(50, camera(-90), boxes, noise, depth=name != "table_appearance")
 
 
+def create(name: str) -> Segmenter:
+    """The segmenter, or a skipped test where its weights cannot be fetched."""
+    try:
+        SEGMENTERS.get(name)().check_ready()
+    except ToolkitError as error:
+        if "cannot be fetched" not in str(error):
+            raise
+        pytest.skip(str(error))
+    return SEGMENTERS.create(name)
+
+
 def ious(frame: Frame, segments: Sequence) -> list[float]:
     """The best IoU of every true object."""
     assert frame.true_masks is not None
@@ -100,29 +111,29 @@ def ious(frame: Frame, segments: Sequence) -> list[float]:
 def test_contract(name: str, noise: float) -> None:
     """Disjoint non-empty masks of the image's size, the true objects, the same twice."""
     current, frame = ring(NOW, noise), image_for(name, THEN, noise)
-    segments = SEGMENTERS.create(name).segment(frame, current)
+    segments = create(name).segment(frame, current)
     assert sum(s.mask.astype(int) for s in segments).max() == 1
     assert all(s.mask.shape == (HEIGHT, WIDTH) and s.mask.any() for s in segments)
     assert len(segments) == len(THEN)
     assert min(ious(frame, segments)) > 0.8
-    again = SEGMENTERS.create(name).segment(frame, current)
+    again = create(name).segment(frame, current)
     assert all(np.array_equal(a.mask, b.mask) for a, b in zip(segments, again, strict=True))
 
 
 @pytest.mark.parametrize("name", SEGMENTERS.names())
 def test_empty_table_has_no_segment(name: str) -> None:
-    assert SEGMENTERS.create(name).segment(image_for(name, []), ring([])) == []
+    assert create(name).segment(image_for(name, []), ring([])) == []
 
 
 @pytest.mark.parametrize("name", SEGMENTERS.names())
 def test_goal_without_object_has_no_segment(name: str) -> None:
-    assert SEGMENTERS.create(name).segment(image_for(name, []), ring(NOW)) == []
+    assert create(name).segment(image_for(name, []), ring(NOW)) == []
 
 
 @pytest.mark.parametrize("name", SEGMENTERS.names())
 def test_single_object(name: str) -> None:
     frame = image_for(name, THEN[:1])
-    segments = SEGMENTERS.create(name).segment(frame, ring(NOW[:1]))
+    segments = create(name).segment(frame, ring(NOW[:1]))
     assert len(segments) == 1
     assert ious(frame, segments)[0] > 0.85
 
@@ -131,7 +142,7 @@ def test_single_object(name: str) -> None:
 def test_no_depth_anywhere_is_a_users_mistake(name: str) -> None:
     blind = [Frame(f.index, f.rgb, f.camera, np.zeros((HEIGHT, WIDTH), np.float32)) for f in ring(NOW)]
     with pytest.raises(ToolkitError, match="depth"):
-        SEGMENTERS.create(name).segment(blind[0], blind)
+        create(name).segment(blind[0], blind)
 
 
 def test_oracle_needs_truth() -> None:
@@ -156,6 +167,42 @@ def test_light_that_changes_is_not_an_object() -> None:
     segments = SEGMENTERS.create("table_appearance").segment(lit, ring(NOW))
     assert len(segments) == len(THEN)
     assert min(ious(goal, segments)) > 0.8
+
+
+def in_shadow(frame: Frame, strength: float) -> Frame:
+    """The frame with a soft-edged disc of the table, 24 cm across, in a shadow that nothing in sight casts."""
+    T = frame.camera.T_world_camera
+    rays = pixel_rays(frame).astype(np.float64) @ T[:3, :3].T
+    ground = T[:3, 3] - T[2, 3] / rays[..., 2:] * rays
+    distance = np.hypot(ground[..., 0] + 0.25, ground[..., 1] - 0.25)
+    shade = 1 - strength * ((0.125 - distance) / 0.01).clip(0, 1)
+    assert frame.true_masks is not None
+    on_object = np.any([np.zeros((HEIGHT, WIDTH), bool), *frame.true_masks.values()], axis=0)
+    shade[on_object] = 1
+    rgb = np.rint(frame.rgb * shade[..., None]).astype(np.uint8)
+    return Frame(frame.index, rgb, frame.camera, frame.depth, frame.true_masks)
+
+
+@pytest.mark.parametrize("name", ["table_appearance"])
+@pytest.mark.parametrize("strength", [0.15, 0.35])
+@pytest.mark.parametrize("where", ["current", "goal"])
+def test_a_shadow_is_not_an_object(name: str, strength: float, where: str) -> None:
+    current, goal = ring(NOW), image_for(name, THEN)
+    if where == "goal":
+        goal = in_shadow(goal, strength)
+    else:
+        current = [in_shadow(frame, strength) for frame in current]
+    segments = create(name).segment(goal, current)
+    assert len(segments) == len(THEN)
+    assert min(ious(goal, segments)) > 0.8
+
+
+def test_an_object_of_the_tables_colour_is_no_shadow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "COLOURS", np.array([[119, 98, 70], [40, 60, 190], [136, 112, 80]], np.uint8))
+    goal = image_for("table_appearance", THEN)
+    segments = SEGMENTERS.create("table_appearance").segment(goal, ring(NOW))
+    assert len(segments) == len(THEN)
+    assert min(ious(goal, segments)) > 0.7
 
 
 def test_touching_objects_are_split_by_what_the_current_scene_knows() -> None:

@@ -28,7 +28,17 @@ from toolkit.types import Crop, Float, Frame, Matches, Segment
 
 Arrays = Mapping[str, NDArray[Any]]
 
-_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "torch", "kornia", "jax", "faiss-cpu", "poselib")
+_LIBRARIES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "torch",
+    "kornia",
+    "onnxruntime",
+    "jax",
+    "faiss-cpu",
+    "poselib",
+)
 
 
 def library_versions() -> dict[str, str]:

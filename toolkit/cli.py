@@ -29,6 +29,8 @@ app = typer.Typer(
 )
 dataset_app = typer.Typer(help="Make or inspect a benchmark.", no_args_is_help=True)
 app.add_typer(dataset_app, name="dataset")
+weights_app = typer.Typer(help="Checkpoints of the learned stages.", no_args_is_help=True)
+app.add_typer(weights_app, name="weights")
 
 ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
@@ -320,6 +322,53 @@ def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captu
     for line in describe(dataset):
         console.print(line, highlight=False)
     console.print(f"Picture: {contact_sheet(dataset)}", highlight=False, soft_wrap=True)
+
+
+@weights_app.command("list")
+def weights_list() -> None:
+    """List every checkpoint: its licence, its size, and whether this machine has it."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from toolkit.weights.cards import CARDS
+    from toolkit.weights.resolve import find_weights
+
+    table = Table("name", "what it is", "licence", "MB", "here")
+    for name, card in sorted(CARDS.items()):
+        licence = f"{card.licence} [red](non-commercial)[/red]" if card.non_commercial else card.licence
+        table.add_row(name, card.architecture, licence, f"{card.size_mb:.1f}", "yes" if find_weights(card) else "no")
+    Console().print(table)
+
+
+@weights_app.command("pull")
+def weights_pull(names: Annotated[list[str], typer.Argument(help="Names from `toolkit weights list`.")]) -> None:
+    """Fetch checkpoints that this machine lacks, check their digests, and say where they lie."""
+    from rich.console import Console
+
+    from toolkit.weights.resolve import find_card, resolve_weights
+
+    for name in names:
+        find_card(name)
+    for name in names:
+        Console().print(f"{name}: {resolve_weights(name)}", highlight=False, soft_wrap=True)
+
+
+@weights_app.command("where")
+def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit weights list`.")]) -> None:
+    """Say where a checkpoint lies, or where it is looked for and what it is fetched from."""
+    from rich.console import Console
+
+    from toolkit.weights.resolve import find_card, find_weights, weight_folders
+
+    console, card = Console(), find_card(name)
+    found = find_weights(card)
+    if found is None:
+        folders = " or ".join(f"'{folder}'" for folder in weight_folders())
+        lines = [f"not on this machine; looked for {card.file} in {folders}", *card.sources]
+    else:
+        lines = [str(found)]
+    for line in [*lines, card.citation]:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _set_dataset(choices: dict[str, Any], **values: object) -> None:

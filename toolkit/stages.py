@@ -213,6 +213,7 @@ SEGMENTERS: Registry[Segmenter] = Registry(
     {
         "oracle": "toolkit.segmenters.oracle:OracleSegmenter",
         "depth_plane": "toolkit.segmenters.depth_plane:DepthPlaneSegmenter",
+        "mobile_sam": "toolkit.segmenters.mobile_sam:MobileSamSegmenter",
         "table_appearance": "toolkit.segmenters.table_appearance:TableAppearanceSegmenter",
     },
 )
@@ -248,7 +249,13 @@ RETRIEVERS: Registry[Retriever] = Registry(
 MATCHERS: Registry[Matcher] = Registry(
     "matcher",
     "toolkit.matchers",
-    {"sift": "toolkit.matchers.sift:SiftMatcher", "loftr": "toolkit.matchers.loftr:LoftrMatcher"},
+    {
+        "sift": "toolkit.matchers.sift:SiftMatcher",
+        "loftr": "toolkit.matchers.loftr:LoftrMatcher",
+        "xfeat_lighterglue": "toolkit.matchers.xfeat_lighterglue:XFeatLighterGlue",
+        "disk_lightglue": "toolkit.matchers.disk_lightglue:DiskLightGlue",
+        "aliked_lightglue": "toolkit.matchers.aliked_lightglue:AlikedLightGlue",
+    },
 )
 PNP: Registry[PnP] = Registry(
     "pnp",

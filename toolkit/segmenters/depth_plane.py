@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
@@ -38,9 +39,21 @@ class DepthPlaneSegmenter(Plugin):
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the clusters above the table; raises ToolkitError without depth or where no table is in it."""
         settings = self.config
-        plane, min_height = fit_plane(frame), settings.min_height_mm / 1e3
-        labels = cluster_above_plane(frame, plane, min_height, settings.cell_mm / 1e3, settings.min_pixels)
-        if is_noisy(frame, plane, min_height):
-            refined = snap_to_colour(frame.rgb, labels)
-            labels = keep(refined, np.ones(int(labels.max()) + 1, bool), settings.min_pixels)
+        labels = cluster_labels(frame, settings.min_height_mm / 1e3, settings.cell_mm / 1e3, settings.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
+
+
+def cluster_labels(
+    frame: Frame, min_height: float = 0.0015, cell: float = 0.005, min_pixels: int = 60
+) -> NDArray[np.int32]:
+    """(H, W) int32 labels of the clusters above the table, with crisp borders; arguments as `cluster_above_plane`.
+
+    Raises:
+        ToolkitError: the frame has no depth, or no table is in it.
+    """
+    plane = fit_plane(frame)
+    labels = cluster_above_plane(frame, plane, min_height, cell, min_pixels)
+    if is_noisy(frame, plane, min_height):
+        refined = snap_to_colour(frame.rgb, labels)
+        labels = keep(refined, np.ones(int(labels.max()) + 1, bool), min_pixels)
+    return labels

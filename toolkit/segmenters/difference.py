@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.segmenters.light import relit
 from toolkit.segmenters.table_map import TableView
 from toolkit.types import Float, Image, Mask
 
@@ -17,7 +18,8 @@ _LOG_OFFSET = 8.0
 _LEAST_SIGMA = 0.012
 _SPREAD = 3.0
 _LEAST_SPREAD = 0.06
-_SHADOW_DEPTH = 0.6
+_POSSIBLY_RELIT = 0.5
+"""What is left of the score where the table may only be in shadow."""
 
 
 def difference(rgb: Image, view: TableView) -> Float:
@@ -46,8 +48,9 @@ def difference(rgb: Image, view: TableView) -> Float:
     _fill_range(low, high, beyond, image[beyond])
     excess = np.maximum(image - high, 0) - np.maximum(low - image, 0)
     score = np.linalg.norm(excess / sigma, axis=2)
-    score[_shadow(image - table, sigma) & view.seen] *= 0.5
-    score[~view.reach] = 0
+    possible, certain = relit(image - table, table, view.seen, float(sigma.mean()))
+    score[possible] *= _POSSIBLY_RELIT
+    score[certain | ~view.reach] = 0
     return score.astype(np.float32)
 
 
@@ -95,13 +98,3 @@ def _fill_range(low: Float, high: Float, where: Mask, samples: Float) -> None:
     middle = np.median(some, axis=0)
     spread = _SPREAD * 1.4826 * np.median(np.abs(some - middle), axis=0) + _LEAST_SPREAD
     low[where], high[where] = middle - spread, middle + spread
-
-
-def _shadow(residual: Float, sigma: Float) -> Mask:
-    """Darker than the table by one smooth factor: same chroma, same texture."""
-    shade = residual.mean(axis=2)
-    chroma = np.abs(residual - shade[..., None]).max(axis=2)
-    mean = cv2.blur(shade, (5, 5))
-    ripple = np.sqrt(np.maximum(cv2.blur(shade * shade, (5, 5)) - mean * mean, 0))
-    noise = float(sigma.mean())
-    return (shade < 0) & (shade > -_SHADOW_DEPTH) & (chroma < 2 * noise) & (ripple < 2 * noise)

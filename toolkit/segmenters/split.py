@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -19,10 +19,10 @@ from toolkit.types import Float, Image, Mask
 _NECK = 0.9
 """A neck is where the blob is narrower than this part of the narrower side's own width."""
 
-_NECK_GAIN, _COLOUR_GAIN = 0.6, 1.25
+_PROPOSED_GAIN, _NECK_GAIN, _COLOUR_GAIN = 0.3, 0.6, 1.25
 """Gain in log-likelihood a pixel of the smaller part, below which one object explains the blob as well.
 
-A change of colour alone is weaker evidence of two objects than a neck.
+A change of colour alone is weaker evidence of two objects than a neck, and a neck than what a network calls an object.
 """
 
 _BLUR_PX = 9
@@ -31,14 +31,17 @@ _OUTLINE_SHARE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """A blob in two: log-likelihoods (2, K) of both parts, pixels (N,) of the second, and the least gain."""
+    """A blob in two: log-likelihoods (2, K) of both parts, pixels (N,) of the second, the least gain, and its rank."""
 
     scores: Float
     part: NDArray[np.int64]
     least_gain: float
+    proposed: bool
 
 
-def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixels: int) -> NDArray[np.int32]:
+def split_touching(
+    rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixels: int, proposals: Sequence[Mask] = ()
+) -> NDArray[np.int32]:
     """Split blobs while there are fewer than known objects and a split explains the colours better.
 
     Every blob is assigned one known object, no object twice, at the greatest likelihood of the blobs' colours. A cut
@@ -49,6 +52,7 @@ def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixe
         labels: (H, W) int32 label image.
         looks: (K, B) from `learn_looks`.
         min_pixels: no part may be smaller.
+        proposals: (H, W) masks of what may be one object, from a network.
     """
     labels = labels.copy()
     bins = colour_bins(rgb)
@@ -56,24 +60,25 @@ def split_touching(rgb: Image, labels: NDArray[np.int32], looks: Float, min_pixe
     if not 0 < count < len(looks):
         return labels
     scores = [_likelihood(looks, bins[labels == k]) for k in range(1, count + 1)]
-    cuts = [_cuts(labels == k, bins, looks, min_pixels) for k in range(1, count + 1)]
+    cuts = [_cuts(labels == k, bins, looks, min_pixels, proposals) for k in range(1, count + 1)]
     while count < len(looks):
         now = _explained(scores)
-        most, chosen = 0.0, None
-        for k, options in enumerate(cuts):
-            for cut in options:
-                gain = _explained([*scores[:k], *scores[k + 1 :], *cut.scores]) - now
-                if gain > max(most, cut.least_gain):
-                    most, chosen = gain, (k, cut)
-        if chosen is None:
+        gains = [
+            (cut.proposed, _explained([*scores[:k], *scores[k + 1 :], *cut.scores]) - now, k, i)
+            for k, options in enumerate(cuts)
+            for i, cut in enumerate(options)
+        ]
+        good = [entry for entry in gains if entry[1] > cuts[entry[2]][entry[3]].least_gain]
+        if not good:
             break
-        k, cut = chosen
+        _, _, k, i = max(good)
+        cut = cuts[k][i]
         count += 1
         labels.ravel()[cut.part] = count
         scores[k] = cut.scores[0]
         scores.append(cut.scores[1])
-        cuts[k] = _cuts(labels == k + 1, bins, looks, min_pixels)
-        cuts.append(_cuts(labels == count, bins, looks, min_pixels))
+        cuts[k] = _cuts(labels == k + 1, bins, looks, min_pixels, proposals)
+        cuts.append(_cuts(labels == count, bins, looks, min_pixels, proposals))
     return keep(labels, np.ones(count + 1, bool), 1)
 
 
@@ -89,7 +94,7 @@ def _explained(scores: list[Float]) -> float:
     return float(table[rows, columns].sum())
 
 
-def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int) -> list[_Cut]:
+def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int, proposals: Sequence[Mask]) -> list[_Cut]:
     """Every way considered to cut a blob in two."""
     box = window(mask, 1)
     inside, colours = mask[box], bins[box]
@@ -97,13 +102,16 @@ def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int) ->
     whole = _likelihood(looks, colours[inside])
     size = int(inside.sum())
     cuts: list[_Cut] = []
+    proposed = ((proposal[box] & inside, _PROPOSED_GAIN) for proposal in proposals)
     necks = ((part, _NECK_GAIN) for part in neck_cuts(inside))
     changes = ((part, _COLOUR_GAIN) for part in _colour_cuts(inside, colours, looks))
-    for part, gain in chain(necks, changes):
+    for part, gain in chain(proposed, necks, changes):
         n = int(part.sum())
         if min_pixels <= n <= size - min_pixels and _reaches_outline(part, inside):
             score = _likelihood(looks, colours[part])
-            cuts.append(_Cut(np.stack([whole - score, score]), index[part], gain * min(n, size - n)))
+            cuts.append(
+                _Cut(np.stack([whole - score, score]), index[part], gain * min(n, size - n), gain == _PROPOSED_GAIN)
+            )
     return cuts
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
@@ -38,19 +40,32 @@ class TableAppearanceSegmenter(Plugin):
 
     def __init__(self, config: PluginConfig | None = None) -> None:
         super().__init__(config)
-        self._last: tuple[tuple[Frame, ...], TableScan] | None = None
+        self._table = TableMemory()
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""
-        scan = self._scan(tuple(current))
-        view = render_table(scan, frame.camera)
-        labels = find_blobs(frame.rgb, difference(frame.rgb, view), view, self.config.threshold, self.config.min_pixels)
-        if self.config.split:
-            labels = split_touching(frame.rgb, labels, scan.looks, self.config.min_pixels)
+        settings = self.config
+        scan = self._table.scan(tuple(current))
+        labels = blob_labels(frame, scan, settings.threshold, settings.min_pixels)
+        if settings.split:
+            labels = split_touching(frame.rgb, labels, scan.looks, settings.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
 
-    def _scan(self, current: tuple[Frame, ...]) -> TableScan:
-        """The table of these very frames, kept for the next image of the same scene."""
+
+class TableMemory:
+    """The table of the last scene, kept for its next image."""
+
+    def __init__(self) -> None:
+        self._last: tuple[tuple[Frame, ...], TableScan] | None = None
+
+    def scan(self, current: tuple[Frame, ...]) -> TableScan:
+        """The table of these very frames; raises ToolkitError where none shows one."""
         if self._last is None or self._last[0] != current:
             self._last = (current, scan_table(current))
         return self._last[1]
+
+
+def blob_labels(frame: Frame, scan: TableScan, threshold: float, min_pixels: int) -> NDArray[np.int32]:
+    """(H, W) int32 labels of what differs from the table's look; arguments as `find_blobs`."""
+    view = render_table(scan, frame.camera)
+    return find_blobs(frame.rgb, difference(frame.rgb, view), view, threshold, min_pixels)
