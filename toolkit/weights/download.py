@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from toolkit.progress import Progress
 
 _CHUNK = 1 << 18
 _TIMEOUT_S = 20
+_RANGE_REFUSED = 416
 
 
 def source_url(source: str) -> str:
@@ -27,13 +29,22 @@ def download(source: str, target: Path) -> None:
     Raises:
         OSError: the source does not answer, or the file cannot be written.
     """
-    partial = target.with_suffix(target.suffix + ".part")
+    partial = target.with_name(f"{target.name}.part")
     target.parent.mkdir(parents=True, exist_ok=True)
     have = partial.stat().st_size if partial.is_file() else 0
     request = urllib.request.Request(source_url(source), headers={"Range": f"bytes={have}-"} if have else {})
-    with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
+    try:
+        answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
+    except urllib.error.HTTPError as error:
+        if error.code != _RANGE_REFUSED or not have:
+            raise
+        # What is left of an earlier attempt does not fit what the source has now.
+        partial.unlink()
+        return download(source, target)
+    with answer:
         resumed = answer.status == 206
-        expected = int(answer.headers.get("Content-Length", 0)) + (have if resumed else 0)
+        length = int(answer.headers.get("Content-Length", 0))
+        expected = length + (have if resumed else 0) if length else 0
         with (
             partial.open("ab" if resumed else "wb") as file,
             Progress(Console(stderr=True)).step(f"Downloading {target.name}", expected) as advance,
@@ -45,3 +56,4 @@ def download(source: str, target: Path) -> None:
     if expected and partial.stat().st_size != expected:
         raise OSError(f"{source}: the connection ended after {partial.stat().st_size} of {expected} bytes")
     partial.replace(target)
+    return None

@@ -9,32 +9,56 @@ from pathlib import Path
 
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
+from toolkit.registry import suggest
 from toolkit.weights.cards import CARDS, WeightCard
-from toolkit.weights.download import download
+from toolkit.weights.sources import fetch, shipped_file
 
 
 def resolve_weights(name: str, given: Path | None = None) -> Path:
-    """Find a checkpoint, downloading it when it is nowhere on this machine.
+    """Find a checkpoint, fetching it when it is nowhere on this machine.
 
     Args:
         name: a card's name.
         given: a file the user names; used instead of the card's own, and not checked against its digest.
 
     Raises:
-        ToolkitError: the file given does not exist, the file found has another digest than its card, or no source
-            answers; the message says which file to put where.
+        ToolkitError: no card has that name, the file given does not exist, the file found has another digest than its
+            card, or no source delivers it; the message says which file to put where.
     """
     if given is not None:
         if not given.is_file():
             raise ToolkitError(f"weights file '{given}' does not exist")
         return given
-    card = CARDS[name]
-    found = _find(card)
+    card = find_card(name)
+    found = find_weights(card)
     if found is None:
-        found = _fetch(card)
-    if card.sha256 is not None and file_digest(found) != card.sha256:
-        raise ToolkitError(f"weights '{found}' are damaged or not '{name}': their sha256 differs from the card's")
+        return _fetch(card)
+    if not _is_intact(card, found):
+        raise ToolkitError(
+            f"weights '{found}' are damaged or not '{name}': their sha256 differs from the card's; "
+            f"remove the file and run `toolkit weights pull {name}`"
+        )
     return found
+
+
+def find_card(name: str) -> WeightCard:
+    """The card called `name`; raises ToolkitError, offering the nearest, where there is none."""
+    if name not in CARDS:
+        raise ToolkitError(f"unknown weights '{name}'{suggest(name, sorted(CARDS))}")
+    return CARDS[name]
+
+
+def find_weights(card: WeightCard) -> Path | None:
+    """The card's file where this machine has it, unchecked; nothing is fetched."""
+    kept = (folder / card.file for folder in weight_folders())
+    shipped = (shipped_file(source) for source in card.sources)
+    return next((path for path in (*kept, *shipped) if path is not None and path.is_file()), None)
+
+
+def weight_folders() -> list[Path]:
+    """Folders in which checkpoints are looked for, in this order; what is fetched goes to the last."""
+    named = os.environ.get("TOOLKIT_WEIGHTS")
+    return [*([Path(named)] if named else []), cache_root() / "weights"]
 
 
 def file_digest(path: Path) -> str:
@@ -49,26 +73,27 @@ def _digest_of_state(path: Path, mtime_ns: int, size: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _find(card: WeightCard) -> Path | None:
-    named = os.environ.get("TOOLKIT_WEIGHTS")
-    folders = [Path(named)] if named else []
-    return next((f / card.file for f in (*folders, _cache_folder()) if (f / card.file).is_file()), None)
-
-
-def _cache_folder() -> Path:
-    return cache_root() / "weights"
+def _is_intact(card: WeightCard, path: Path) -> bool:
+    return card.sha256 is None or file_digest(path) == card.sha256
 
 
 def _fetch(card: WeightCard) -> Path:
-    target = _cache_folder() / card.file
+    """Fetch from the first source that delivers what the card says; nothing else reaches the final name."""
+    target = weight_folders()[-1] / card.file
+    arriving = target.with_name(f"{target.name}.new")
     reasons: list[str] = []
     for source in card.sources:
         try:
-            download(source, target)
-            return target
+            fetch(source, arriving)
         except OSError as error:
             reasons.append(str(error))
+            continue
+        if _is_intact(card, arriving):
+            arriving.replace(target)
+            return target
+        arriving.unlink()
+        reasons.append(f"what {source} delivers has another sha256 than the card")
     raise ToolkitError(
-        f"weights '{card.name}' cannot be downloaded here ({reasons[0]}); "
+        f"weights '{card.name}' cannot be fetched here: {'; '.join(reasons)}; "
         f"put {card.file} into '{target.parent}' or name a folder that holds it in $TOOLKIT_WEIGHTS"
     )

