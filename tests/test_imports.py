@@ -18,13 +18,13 @@ LAYERS = [
     {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
     {"geometry"},
     {"types"},
-    {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
+    {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
     {"stages", "database", "fusion", "assignment", "results", "pictures", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "cache", "data", "report"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate"},
+    {"ablate", "estimate", "training"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

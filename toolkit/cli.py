@@ -28,6 +28,8 @@ app = typer.Typer(
 )
 dataset_app = typer.Typer(help="Make or inspect a benchmark.", no_args_is_help=True)
 app.add_typer(dataset_app, name="dataset")
+weights_app = typer.Typer(help="Checkpoints of the learned stages.", no_args_is_help=True)
+app.add_typer(weights_app, name="weights")
 
 ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
@@ -237,6 +239,30 @@ def doctor() -> None:
         console.print(line, highlight=False)
 
 
+@app.command()
+def train(
+    network: Annotated[str, typer.Argument(help="loftr or mixvpr.")],
+    config: Annotated[Path | None, typer.Argument(help="A YAML file; the shipped settings when left out.")] = None,
+    out: OutOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    objects: Annotated[Path | None, typer.Option(help="A folder of scans to evaluate on; never trained on.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores when left out.")] = None,
+    settings: Annotated[list[str], typer.Option("--set", help="path.to.key=value of the settings.")] = [],  # noqa: B006
+) -> None:
+    """Train a network the toolkit ships, on views it renders itself; writes curves, checkpoints and the weights."""
+    from rich.console import Console
+
+    from toolkit.experiment import parse_set
+    from toolkit.progress import Progress
+    from toolkit.training.run import TrainOptions, read_training
+    from toolkit.training.run import train as run_training
+
+    chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
+    options = TrainOptions(out or Path("runs") / "train" / network, resume, objects, threads or _cores())
+    path = run_training(network, read_training(network, config, chosen), options, Progress(Console(stderr=True)))
+    Console().print(f"Written: {path}", highlight=False, soft_wrap=True)
+
+
 @dataset_app.command("build")
 def dataset_build(
     out: Annotated[Path, typer.Argument(help="Folder to write the captures to.")],
@@ -270,6 +296,53 @@ def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captu
     for line in describe(dataset):
         console.print(line, highlight=False)
     console.print(f"Picture: {contact_sheet(dataset)}", highlight=False, soft_wrap=True)
+
+
+@weights_app.command("list")
+def weights_list() -> None:
+    """List every checkpoint: its licence, its size, and whether this machine has it."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from toolkit.weights.cards import CARDS
+    from toolkit.weights.resolve import find_weights
+
+    table = Table("name", "what it is", "licence", "MB", "here")
+    for name, card in sorted(CARDS.items()):
+        licence = f"{card.licence} [red](non-commercial)[/red]" if card.non_commercial else card.licence
+        table.add_row(name, card.architecture, licence, f"{card.size_mb:.1f}", "yes" if find_weights(card) else "no")
+    Console().print(table)
+
+
+@weights_app.command("pull")
+def weights_pull(names: Annotated[list[str], typer.Argument(help="Names from `toolkit weights list`.")]) -> None:
+    """Fetch checkpoints that this machine lacks, check their digests, and say where they lie."""
+    from rich.console import Console
+
+    from toolkit.weights.resolve import find_card, resolve_weights
+
+    for name in names:
+        find_card(name)
+    for name in names:
+        Console().print(f"{name}: {resolve_weights(name)}", highlight=False, soft_wrap=True)
+
+
+@weights_app.command("where")
+def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit weights list`.")]) -> None:
+    """Say where a checkpoint lies, or where it is looked for and what it is fetched from."""
+    from rich.console import Console
+
+    from toolkit.weights.resolve import find_card, find_weights, weight_folders
+
+    console, card = Console(), find_card(name)
+    found = find_weights(card)
+    if found is None:
+        folders = " or ".join(f"'{folder}'" for folder in weight_folders())
+        lines = [f"not on this machine; looked for {card.file} in {folders}", *card.sources]
+    else:
+        lines = [str(found)]
+    for line in [*lines, card.citation]:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:
