@@ -12,16 +12,25 @@ from safetensors.torch import load_file
 from typer.testing import CliRunner
 
 from toolkit.cli import app
+from toolkit.crops import crop_region
 from toolkit.data.procedural.families import FAMILIES
 from toolkit.errors import ToolkitError
 from toolkit.models.efficientnet_lite import EfficientNetLite0
 from toolkit.models.loftr_small import make_loftr_small
+from toolkit.models.mixvpr import mixer_lite
 from toolkit.progress import Progress
+from toolkit.stages import MATCHERS
+from toolkit.training.export import export
 from toolkit.training.loftr_loss import coarse_log_confidence, fine_loss, focal_loss
 from toolkit.training.multi_similarity import ALPHA, BETA, MARGIN, multi_similarity
 from toolkit.training.pairs import PairsConfig, PairSource, _carry, augmented_crop, cell_centers, relate
 from toolkit.training.pool import PoolConfig, is_held_out, procedural_pool
 from toolkit.training.run import TrainOptions, read_training, train
+from toolkit.types import Segment
+from toolkit.weights.cards import CARDS
+from toolkit.weights.load import fill, read_tensors
+from toolkit.weights.resolve import file_digest, resolve_weights
+from toolkit.weights.sources import SHIPPED
 
 POOL = {"objects_per_family": 2, "objects_per_scene": 8, "frames": 3, "renderer": "tiny"}
 PLAIN = PairsConfig(occlusion=0, loose_mask=0, blur_px=0, noise=0, roll_deg=0)
@@ -207,3 +216,36 @@ def test_shipped_settings_are_valid():
 def test_the_command_line_answers_in_a_sentence():
     result = CliRunner().invoke(app, ["train", "resnet"])
     assert isinstance(result.exception, ToolkitError) and "unknown network" in str(result.exception)
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.safetensors")), ids=lambda path: path.stem)
+def test_shipped_weights_are_what_their_card_says(path):
+    name = path.stem.replace("_", "-")
+    card = yaml.safe_load(path.with_suffix(".yaml").read_text())
+    assert file_digest(path) == card["sha256"] == CARDS[name].sha256
+    assert path.stat().st_size < 12e6
+    assert {"data", "steps", "hours", "machine", "metrics", "settings", "started_from"} <= set(card)
+    module = {"loftr-tabletop": make_loftr_small, "mixvpr-tabletop": mixer_lite}[name]()
+    fill(module, read_tensors(path), path, name)
+    assert all(torch.isfinite(value).all() for value in module.state_dict().values())
+
+
+def test_shipped_weights_need_no_network(monkeypatch, tmp_path):
+    monkeypatch.setenv("TOOLKIT_CACHE", str(tmp_path))
+    monkeypatch.setattr("toolkit.weights.resolve.fetch", None)
+    assert resolve_weights("mixvpr-tabletop").parent == SHIPPED
+
+
+def test_an_exported_loftr_is_what_the_matcher_takes(tmp_path, capture):
+    """And without a file, a sentence says where one is to be put."""
+    export(make_loftr_small(), tmp_path / "own.safetensors", {})
+    matcher = MATCHERS.create(
+        "loftr", {"weights": "tabletop", "file": str(tmp_path / "own.safetensors"), "threshold": 0}
+    )
+    frame = capture.current[0]
+    crops = [crop_region(frame.rgb, Segment(mask), matcher.crop_size) for mask in frame.true_masks.values()]
+    features = matcher.extract(crops)
+    (matches,) = matcher.match(features[0], features[:1])
+    assert len(matches) > 20
+    with pytest.raises(ToolkitError, match=r"put loftr_tabletop\.safetensors into"):
+        MATCHERS.create("loftr", {"weights": "tabletop"}).check_ready()

@@ -222,7 +222,8 @@ def show(
     console.print(inspect.getdoc(plugin) or "", markup=False, highlight=False)
     table = Table("setting", "default", "meaning")
     for key, info in plugin.Config.model_fields.items():
-        table.add_row(key, "required" if info.is_required() else repr(info.default), info.description or "")
+        default = "required" if info.is_required() else repr(info.get_default(call_default_factory=True))
+        table.add_row(key, default, info.description or "")
     if plugin.Config.model_fields:
         console.print(table)
 

@@ -100,9 +100,12 @@ def load_xfeat(model: LoFTR, state: dict[str, Tensor]) -> None:
     trunk.load_state_dict({key: value for key, value in state.items() if key in wanted})
     coarse: nn.Conv2d = model.backbone.coarse_out  # pyright: ignore[reportAssignmentType]
     with torch.no_grad():
-        # An isometry keeps XFeat's inner products.
-        nn.init.orthogonal_(coarse.weight.view(COARSE_WIDTH, 64))
+        # An isometry, a little shortened, keeps XFeat's inner products and is not sure of its mistakes.
+        nn.init.orthogonal_(coarse.weight.view(COARSE_WIDTH, 64), gain=0.8)
         coarse.bias.zero_()  # pyright: ignore[reportOptionalMemberAccess]
+        # Short fine features make a flat heatmap, whose mean is the window's centre: better than any random place.
+        fine: nn.Conv2d = model.backbone.fine_out[-1]  # pyright: ignore[reportAssignmentType, reportIndexIssue, reportCallIssue, reportArgumentType]
+        fine.weight.mul_(0.1)
         for transformer in (model.loftr_coarse, model.loftr_fine):
             for layer in transformer.layers:
                 layer.norm2.weight.fill_(0.1)  # pyright: ignore[reportCallIssue, reportAttributeAccessIssue]

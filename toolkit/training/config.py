@@ -41,6 +41,9 @@ class LoftrTraining(PluginConfig):
     start: Literal["xfeat", "nothing"] = Field(
         default="xfeat", description="The backbone's first weights: XFeat's published ones, or random."
     )
+    backbone_rate: float = Field(
+        default=0.1, ge=0, description="Learning rate of XFeat's own layers, as a part of the others'."
+    )
     focal_gamma: float = Field(default=2.0, ge=0, description="Exponent of the focal loss; 0 is plain cross-entropy.")
     negative_weight: float = Field(default=0.5, ge=0, description="Weight of the cells that match nothing.")
     fine_weight: float = Field(default=0.5, ge=0, description="Weight of the fine loss.")

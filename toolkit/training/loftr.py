@@ -101,6 +101,12 @@ class LoftrTask:
                 raise ToolkitError(f"'{self._start}' does not hold XFeat's published weights") from error
         return model
 
+    def rates(self, model: nn.Module) -> list[tuple[list[nn.Parameter], float]]:
+        """XFeat's layers move slowly: their features match already, and nothing bounds how long they grow."""
+        trunk = [p for name, p in model.named_parameters() if name.startswith("backbone.trunk.")]
+        rest = [p for name, p in model.named_parameters() if not name.startswith("backbone.trunk.")]
+        return [(trunk, self.config.backbone_rate), (rest, 1.0)]
+
     def batch(self, step: int) -> LoftrBatch:
         """Draw a step's pairs."""
         seed = self.config.loop.seed

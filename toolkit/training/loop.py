@@ -31,6 +31,10 @@ class Task(Protocol[BatchT]):
         """The network with its starting weights; torch is seeded."""
         ...
 
+    def rates(self, model: nn.Module) -> list[tuple[list[nn.Parameter], float]]:
+        """All parameters in groups, with the part of the learning rate each group is trained at."""
+        ...
+
     def batch(self, step: int) -> BatchT:
         """The samples of a step, which depend on the seed and the step alone."""
         ...
@@ -65,9 +69,8 @@ class Trainer(Generic[BatchT]):
         torch.manual_seed(config.seed)
         self.model = task.build().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-        )
+        groups = [{"params": parameters, "rate": rate} for parameters, rate in task.rates(self.model)]
+        self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
         self.step, self.seconds = 0, 0.0
         self.figures: dict[str, float] = {}
 
@@ -131,7 +134,7 @@ class Trainer(Generic[BatchT]):
 
     def _update(self, batch: BatchT) -> dict[str, float]:
         for group in self.optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * learning_rate_factor(self.config, self.step)
+            group["lr"] = group["rate"] * self.config.learning_rate * learning_rate_factor(self.config, self.step)
         self.model.train()
         with torch.autocast("cpu", torch.bfloat16, enabled=self.config.bf16):
             loss, parts = self.task.loss(self.model, batch)

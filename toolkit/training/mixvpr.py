@@ -91,11 +91,15 @@ class MixvprTask:
         if scans is not None:
             held_out["scans"] = folder_pool(short, scans, cache, progress)
         self._held_out = {name: self._maps(pool, 1) for name, pool in held_out.items()}
-        self.data = describe(pool, held_out, f"{config.crops_per_view} augmented crops of every view")
+        self.data = describe(pool, held_out, f"{config.crops_per_view} augmented crop(s) of every view")
 
     def build(self) -> nn.Module:
         """The mixer alone: the backbone stays as published."""
         return mixer_lite()
+
+    def rates(self, model: nn.Module) -> list[tuple[list[nn.Parameter], float]]:
+        """All alike."""
+        return [(list(model.parameters()), 1.0)]
 
     def batch(self, step: int) -> MixvprBatch:
         """Draw objects, and views of each."""
