@@ -31,14 +31,14 @@ LAYERS = [
     {"types"},
     {"footprints"},
     {"moves"},
-    {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights"},
+    {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
     {"stages", "database", "fusion", "lighting", "assignment", "results", "completion", "pictures", "film", "sim"},
     set(STAGE_FOLDERS),
     {"pipeline", "sight", "episode", "cache", "data", "report"},
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate", "rearrange"},
+    {"ablate", "estimate", "rearrange", "training"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

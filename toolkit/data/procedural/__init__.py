@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -26,20 +27,26 @@ def procedural_folder(parent: Path) -> Path:
         return folder
     temporary = parent / f".{folder.name}.{os.getpid()}"
     shutil.rmtree(temporary, ignore_errors=True)
-    notes: dict[str, dict[str, object]] = {}
-    for category, (family, count) in FAMILIES.items():
-        for number in range(count):
-            name = f"{category}_{number:02d}"
-            drawn = family(_generator(name))
-            _write(temporary / name, drawn)
-            notes[name] = {"category": category, "symmetry": drawn.symmetry}
-    (temporary / "objects.json").write_text(json.dumps(notes, indent=1))
+    write_set(temporary, {category: count for category, (_, count) in FAMILIES.items()})
     try:
         temporary.rename(folder)
     except OSError:
         # Another process was faster; its set is the same.
         shutil.rmtree(temporary)
     return folder
+
+
+def write_set(folder: Path, counts: Mapping[str, int]) -> None:
+    """Write the first `counts[category]` objects of each category as a folder of scans."""
+    notes: dict[str, dict[str, object]] = {}
+    for category, count in counts.items():
+        family, _ = FAMILIES[category]
+        for number in range(count):
+            name = f"{category}_{number:02d}"
+            drawn = family(_generator(name))
+            _write(folder / name, drawn)
+            notes[name] = {"category": category, "symmetry": drawn.symmetry}
+    (folder / "objects.json").write_text(json.dumps(notes, indent=1))
 
 
 def _generator(name: str) -> np.random.Generator:

@@ -1,0 +1,128 @@
+"""`toolkit train`: settings from YAML, a task, the loop, and the file it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import torch
+import yaml
+
+from toolkit.errors import ToolkitError
+from toolkit.files import write_text
+from toolkit.paths import cache_root
+from toolkit.progress import Progress
+from toolkit.registry import suggest, validated
+from toolkit.training.config import LoftrTraining, MixvprTraining
+from toolkit.training.export import export
+from toolkit.training.loftr import LoftrTask
+from toolkit.training.loop import Trainer
+from toolkit.training.mixvpr import MixvprTask
+from toolkit.weights.resolve import file_digest, resolve_weights
+
+NETWORKS = {"loftr": LoftrTraining, "mixvpr": MixvprTraining}
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What the command line adds to the settings.
+
+    Attributes:
+        out: folder for checkpoint, curves and the exported file.
+        resume: go on from the folder's checkpoint.
+        scans: a folder of scans to evaluate on besides the held-out procedural objects; never trained on.
+        threads: of torch.
+    """
+
+    out: Path
+    resume: bool = False
+    scans: Path | None = None
+    threads: int = 1
+
+
+def read_training(network: str, file: Path | None, overrides: Mapping[str, Any]) -> LoftrTraining | MixvprTraining:
+    """Read the settings of a training: the shipped file of that network, or another.
+
+    Args:
+        network: `loftr` or `mixvpr`.
+        file: a YAML file, or None for the shipped one.
+        overrides: dotted path -> value.
+
+    Raises:
+        ToolkitError: an unknown network, YAML that does not parse, an unknown key or a value that does not fit.
+    """
+    if network not in NETWORKS:
+        raise ToolkitError(f"unknown network '{network}'{suggest(network, list(NETWORKS))}")
+    path = file or _shipped() / f"{network}.yaml"
+    try:
+        data = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ToolkitError(f"training settings '{path}' cannot be read: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        raise ToolkitError(f"training settings '{path}' are not YAML: {getattr(error, 'problem', error)}") from error
+    if not isinstance(data, dict):
+        raise ToolkitError(f"training settings '{path}' must be a mapping with loop, pool and what the network needs")
+    for key, value in overrides.items():
+        *parents, last = key.split(".")
+        node: Any = data
+        for parent in parents:
+            node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                raise ToolkitError(f"cannot set '{key}': '{parent}' is a value, not a group")
+        node[last] = value
+    return validated(NETWORKS[network], data, f"training settings '{path}'")
+
+
+def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOptions, progress: Progress) -> Path:
+    """Train, evaluate and export; returns the exported file.
+
+    Raises:
+        ToolkitError: weights to start from cannot be had, the folder holds a training already or none to resume, or a
+            pool cannot be made.
+    """
+    torch.set_num_threads(options.threads)
+    cv2.setNumThreads(1)
+    _check_folder(options)
+    settings = config.model_dump(mode="json")
+    identity: dict[str, Any] = {**settings, "loop": {k: v for k, v in settings["loop"].items() if k != "steps"}}
+    cache = cache_root()
+    if isinstance(config, LoftrTraining):
+        start = resolve_weights("xfeat") if config.start == "xfeat" else None
+        task: Any = LoftrTask(config, cache, options.scans, start, progress)
+    else:
+        start = resolve_weights("efficientnet-lite0")
+        task = MixvprTask(config, cache, options.scans, start, progress)
+    identity["start_sha256"] = file_digest(start) if start else None
+    trainer = Trainer[Any](task, config.loop, options.out, identity, progress)
+    if options.resume:
+        trainer.resume()
+    write_text(options.out / "settings.yaml", yaml.safe_dump(settings, sort_keys=False))
+    model = trainer.run()
+    path = options.out / f"{network}_tabletop.safetensors"
+    card = {
+        "network": network,
+        "data": task.data,
+        "steps": trainer.step,
+        "hours": round(trainer.seconds / 3600, 2),
+        "metrics": {name: round(value, 4) for name, value in trainer.figures.items()},
+        "settings": settings,
+        "started_from": {"file": start.name, "sha256": file_digest(start)} if start else "random weights",
+    }
+    export(model, path, card)
+    return path
+
+
+def _check_folder(options: TrainOptions) -> None:
+    if (options.out / "checkpoint.pt").exists() and not options.resume:
+        raise ToolkitError(f"'{options.out}' already holds a training; add --resume to go on, or use another --out")
+    options.out.mkdir(parents=True, exist_ok=True)
+
+
+def _shipped() -> Path:
+    packaged = Path(str(files("toolkit"))) / "experiments"
+    folder = packaged if packaged.is_dir() else Path(__file__).parents[2] / "experiments"
+    return folder / "train"
