@@ -18,7 +18,7 @@ from toolkit.data.bop import load_capture
 from toolkit.data.dataset import build_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.evaluate import score
-from toolkit.fusion import FusedModel, Models, Patch, RefineTask, fuse
+from toolkit.fusion import FusedModel, Models, Patch, RefineTask, Start, fuse
 from toolkit.geometry import make_transform, rotation_angle, rotation_z
 from toolkit.jax_geometry import rotation_exp
 from toolkit.lighting import estimate_light, relit
@@ -26,6 +26,7 @@ from toolkit.metrics import pose_error
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
 from toolkit.refiners import align as alignment
 from toolkit.refiners.cloud import Cloud
+from toolkit.refiners.combine import _about, combine
 from toolkit.refiners.compare import Hypothesis, all_rotations, yaw_rotations
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.images import normalized
@@ -140,7 +141,7 @@ def test_photometric_sharpens_a_start(capture, tasks, prior):
         center = truth[:3, :3] @ fuse_center(task) + truth[:3, 3]
         turn = rotation_z(np.radians(4))[:3, :3]
         off = make_transform(turn, center + np.array([0.004, -0.003, 0]) - turn @ center) @ truth
-        answer = refiner.refine(replace(task, starts=(off,)))
+        answer = refiner.refine(replace(task, starts=(Start(off),)))
         before, after = (pose_error(T, capture.truth[i]) for T in (off, answer.T_goal_current))
         better += after.rotation_error_deg < 0.5 * before.rotation_error_deg
     assert better >= len(tasks) - 1
@@ -199,13 +200,13 @@ def test_nothing_recompiles_after_warm_up(tasks):
     refiner = REFINERS.create("render_compare")
     for task in tasks.values():
         refiner.refine(task)
-        refiner.refine(replace(task, starts=(np.eye(4),)))
+        refiner.refine(replace(task, starts=(Start(np.eye(4)),)))
     compilations = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compilations.append(event) if "backend_compile" in event else None
     )
     for task in tasks.values():
-        REFINERS.create("render_compare").refine(replace(task, starts=(rotation_z(1.0),), others=()))
+        REFINERS.create("render_compare").refine(replace(task, starts=(Start(rotation_z(1.0)),), others=()))
     assert not compilations
 
 
@@ -213,7 +214,7 @@ def test_a_refiner_lets_go_of_scenes_that_are_done(tasks):
     """A worker refines hundreds of scenes with one refiner."""
     refiner, task = REFINERS.create("photometric"), next(iter(tasks.values()))
     models = Models(task.models._database)
-    refiner.refine(replace(task, models=models, starts=(np.eye(4),)))
+    refiner.refine(replace(task, models=models, starts=(Start(np.eye(4)),)))
     kept = weakref.ref(models.get(task.instance))
     del models
     gc.collect()
@@ -241,13 +242,13 @@ def test_a_hidden_side_is_said_to_be_hidden(tasks):
     half_turn[:3, 3] = center - half_turn[:3, :3] @ center
     first = Hypothesis(half_turn, 0.9, 0.5, 0.1, 0.6, 1.0, np.eye(6))
     second = replace(first, T_goal_current=np.eye(4), iou=0.89)
-    hidden = judge([first, second], _two_coloured(model, center), 0.03)
+    hidden = judge([first, second], _two_coloured(model, center), (), 0.03)
     assert hidden.ambiguity == "hidden" and hidden.best is first and len(hidden.equivalents) == 2
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 180, endpoint=False), np.linspace(0, 0.1, 40))
     can = np.stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), height], axis=-1).reshape(-1, 3) + center
-    symmetric = judge([first, second], _likeness_model(can), 0.03)
+    symmetric = judge([first, second], _likeness_model(can), (), 0.03)
     assert symmetric.ambiguity == "symmetric" and symmetric.best is second
-    alone = judge([first, replace(second, iou=0.5)], _likeness_model(can), 0.03)
+    alone = judge([first, replace(second, iou=0.5)], _likeness_model(can), (), 0.03)
     assert alone.ambiguity == "none" and alone.equivalents == (first,)
     assert hidden.confidence < symmetric.confidence
 
@@ -389,3 +390,33 @@ def _likeness_model(points):
     points = points.astype(np.float32)
     patch = Patch(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), bool), np.zeros((0, 2)), points[:0], np.eye(3)[2])
     return FusedModel(points, np.full_like(points, 128), np.ones((len(points), 1), bool), (patch,))
+
+
+def test_two_routes_are_joined_by_how_exact_each_is():
+    """The image knows the turn, the matches know the place: the answer takes each from where it is known."""
+    center, free = np.array([0.2, 0.1, 0.05]), np.array([0, 0, 1, 1, 1, 0.0])
+    image, matches = rotation_z(0.3), rotation_z(0.32)
+    image[:2, 3] += [0.002, 0.0]
+    sharp_turn, sharp_place = np.diag([0, 0, 1e-8, 1e-5, 1e-5, 0]), np.diag([0, 0, 1e-3, 1e-9, 1e-9, 0])
+    T, covariance = combine(image, sharp_turn, center, Start(matches, sharp_place, center), free)
+    assert abs(np.arctan2(T[1, 0], T[0, 0]) - 0.3) < 0.002
+    assert np.linalg.norm(T[:3, :3] @ center + T[:3, 3] - matches[:3, :3] @ center - matches[:3, 3]) < 1e-4
+    assert (np.diag(covariance)[[2, 3, 4]] < np.diag(sharp_turn + sharp_place)[[2, 3, 4]]).all()
+    assert (covariance[[0, 1, 5]] == 0).all()
+
+
+def test_a_covariance_moves_with_the_point_it_is_about():
+    """Sampled: the shift of a far point, whose own place is uncertain by the turn as well."""
+    rng, start = np.random.default_rng(0), np.diag([0, 0, 1e-4, 1e-6, 2e-6, 0])
+    known, far = np.array([0.1, 0.0, 0.0]), np.array([0.1, 0.2, 0.0])
+    samples = rng.multivariate_normal(np.zeros(6), start, 20000)
+    moved = samples[:, 3:] + np.cross(samples[:, :3], far - known)
+    moved_covariance = _about(Start(np.eye(4), start, known), far)
+    np.testing.assert_allclose(moved_covariance[3:5, 3:5], np.cov(moved.T)[:2, :2], rtol=0.05, atol=1e-8)
+
+
+def test_support_by_matches_is_told_from_none(tasks):
+    task = next(iter(tasks.values()))
+    found = REFINERS.create("render_compare").refine(task)
+    supported = REFINERS.create("render_compare").refine(replace(task, starts=(Start(found.T_goal_current),)))
+    assert supported.confidence > found.confidence

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import cv2
@@ -131,6 +131,21 @@ class Models:
 
 
 @dataclass(frozen=True, eq=False)
+class Start:
+    """A motion found by another route.
+
+    Attributes:
+        T_goal_current: (4, 4) in world coordinates, metres.
+        covariance: (6, 6) of (turn, shift of `center`), rad^2 and m^2, or None where that is not known.
+        center: (3,) point of the current world that the covariance is about.
+    """
+
+    T_goal_current: Float
+    covariance: Float | None = None
+    center: Float = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
 class RefineTask:
     """One goal object and the instance it is taken for.
 
@@ -140,7 +155,7 @@ class RefineTask:
         others: the other objects in it, which may hide parts of this one.
         instance: the database instance.
         models: where its fused model is to be had, if it is needed.
-        starts: (4, 4) motions found by other routes, best first.
+        starts: motions found by other routes, best first.
     """
 
     goal: Frame
@@ -148,7 +163,7 @@ class RefineTask:
     others: tuple[Segment, ...]
     instance: int
     models: Models
-    starts: tuple[Float, ...] = ()
+    starts: tuple[Start, ...] = ()
 
 
 def _patch(frame: Frame, region: Region) -> Patch:

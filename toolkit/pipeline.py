@@ -13,7 +13,7 @@ from toolkit.assignment import assign_instances, contenders, instance_similarity
 from toolkit.crops import crop_region
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
-from toolkit.fusion import Models, RefineTask
+from toolkit.fusion import Models, RefineTask, Start
 from toolkit.lifting import lift_matches, merge
 from toolkit.meter import Meter
 from toolkit.regions import lift_segment
@@ -208,9 +208,8 @@ class Pipeline:
         """Let the refiner improve the motion, or find one where the matches gave none."""
         if estimate.instance is None:
             return estimate
-        starts = () if estimate.T_goal_current is None else (estimate.T_goal_current,)
         others = _others(segments, estimate.goal_object)
-        task = RefineTask(goal, estimate.segment, others, estimate.instance, models, starts)
+        task = RefineTask(goal, estimate.segment, others, estimate.instance, models, starts_of(estimate))
         with self.meter.stage("refiner"):
             refined = self.stages.refiner.refine(task)
         if refined is None:
@@ -313,6 +312,13 @@ class _References:
             extracted = self._matcher.extract([self.crops[row] for row in missing])
             self._features.update(zip(missing, extracted, strict=True))
         return [self._features[row] for row in rows]
+
+
+def starts_of(estimate: PoseEstimate) -> tuple[Start, ...]:
+    """What PnP found, as a refiner may start from it."""
+    if estimate.T_goal_current is None or estimate.correspondences is None:
+        return ()
+    return (Start(estimate.T_goal_current, estimate.covariance, estimate.correspondences.points.mean(axis=0)),)
 
 
 def _others(segments: Sequence[Segment], number: int) -> tuple[Segment, ...]:

@@ -21,62 +21,64 @@ from sklearn.linear_model import LogisticRegression
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.experiment import create_stage, expand, load_experiment, own_settings
-from toolkit.fusion import FusedModel, Models
+from toolkit.fusion import FusedModel, Models, Start
 from toolkit.lighting import estimate_light
-from toolkit.metrics import PoseError, pose_error
-from toolkit.pipeline import Pipeline, Stages
+from toolkit.metrics import PoseError, assign_goal_objects, pose_error
+from toolkit.pipeline import Pipeline, Stages, starts_of
 from toolkit.refiners.cloud import Cloud
+from toolkit.refiners.combine import agreeing
 from toolkit.refiners.compare import Hypothesis, compare
 from toolkit.refiners.confidence import features
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.likeness import unlikeness
 from toolkit.refiners.render_compare import RenderCompare
 from toolkit.slots import SLOTS
-from toolkit.types import Float, Segment
+from toolkit.types import Float
 
 EXPECTED_WRONG = 0.06
 BINS = (0.0, 0.2, 0.5, 0.8, 0.9, 0.95, 1.0)
-ORACLES = {"pipeline.segmenter": ["oracle"], "pipeline.goal_segmenter": ["oracle"], "pipeline.associator": ["oracle"]}
+MATCHES_ONLY = {f"pipeline.{slot}": ["oracle"] for slot in ("segmenter", "goal_segmenter", "associator")} | {
+    "pipeline.refiner": ["none"]
+}
 
 
 def samples(capture_folder: Path) -> list[list[float]]:
     """Rows of features and whether the hypothesis is right, for every object of a capture."""
-    cell = expand(load_experiment("estimate", ORACLES))[0]
+    cell = expand(load_experiment("estimate", MATCHES_ONLY))[0]
     stages = Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS})
+    pipeline = Pipeline(stages, own_settings(cell.pipeline))
     capture = load_capture(capture_folder)
-    database = Pipeline(stages, own_settings(cell.pipeline)).build_database(capture.current)
+    database = pipeline.build_database(capture.current)
     assert capture.truth is not None and capture.goal.true_masks is not None
-    segments = {i: Segment(mask) for i, mask in capture.goal.true_masks.items()}
+    estimates = pipeline.estimate(database, capture.goal)
+    objects = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks)
     models, rows = Models(database), []
     light = estimate_light(models.all())
-    for i, segment in segments.items():
-        instance = next((int(database.instances[r]) for r in range(len(database)) if _shows(database, r, i)), None)
-        model = None if instance is None else models.get(instance)
+    for i, number in objects.items():
+        estimate = estimates[number]
+        model = None if estimate.instance is None else models.get(estimate.instance)
         if not isinstance(model, FusedModel):
             continue
-        goal = view_goal(capture.goal, segment, [s for s in segments.values() if s is not segment])
-        found = compare(Cloud(model, LEVELS_PX, light), goal, (), RenderCompare().search())
+        others = [e.segment for e in estimates if e is not estimate]
+        goal, starts = view_goal(capture.goal, estimate.segment, others), starts_of(estimate)
+        motions = [start.T_goal_current for start in starts]
+        found = compare(Cloud(model, LEVELS_PX, light), goal, motions, RenderCompare().search())
         errors = [pose_error(h.T_goal_current, capture.truth[i]) for h in found]
-        rows.append([*_judged_by(found, model), float(errors[0].success_sym)])
+        rows.append([*_judged_by(found, model, starts), float(errors[0].success_sym)])
         wrong = [h for h, e in zip(found, errors, strict=True) if not _near(e)]
         if 0 < len(wrong) < len(found):
-            rows.append([*_judged_by(wrong, model), 0.0])
+            rows.append([*_judged_by(wrong, model, starts), 0.0])
     return rows
 
 
-def _judged_by(found: list[Hypothesis], model: FusedModel) -> Float:
-    return features(found, unlikeness(model, [h.T_goal_current for h in found]))
+def _judged_by(found: list[Hypothesis], model: FusedModel, starts: tuple[Start, ...]) -> Float:
+    unlike = unlikeness(model, [h.T_goal_current for h in found])
+    return features(found, unlike, supported=bool(agreeing(found[0].T_goal_current, model.center, starts)))
 
 
 def _near(error: PoseError) -> bool:
     """Neither right nor clearly wrong answers teach anything as wrong ones."""
     return error.rotation_error_deg_sym < 10 and error.translation_error_cm_sym < 3
-
-
-def _shows(database, row: int, instance: int) -> bool:
-    mask = database.regions[row].segment.mask
-    truth = (database.frame_of(row).true_masks or {}).get(instance)
-    return truth is not None and (mask & truth).sum() > 0.5 * mask.sum()
 
 
 def collect(dataset: Path) -> tuple[Float, Float, Float]:

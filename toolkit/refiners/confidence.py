@@ -9,23 +9,24 @@ import numpy as np
 from toolkit.refiners.compare import Hypothesis
 from toolkit.types import Float
 
-_WEIGHTS = np.array([2.162, 5.054, -1.369, -1.551, 2.416])
+_WEIGHTS = np.array([2.162, 5.054, -1.369, -1.551, 2.416, 0.0])
 _BIAS = -1.076
 """Logistic regression on 150 scenes of procedural objects (experiments/benchmarks/confidence.py)."""
 
 _MOST_LEAD = 0.5
 
 
-def features(found: Sequence[Hypothesis], unlike: Float) -> Float:
+def features(found: Sequence[Hypothesis], unlike: Float, *, supported: bool) -> Float:
     """What the best of ordered hypotheses is judged by.
 
     Args:
         found: hypotheses by falling score.
         unlike: (len(found),) how much each differs from the best in what all sides of the object show (`likeness`).
+        supported: whether another route, PnP on matches, led to the same motion.
 
     Returns:
-        (5,) agreement of colours and of intensities, contrast, how far the model lies beside the object, and lead over
-        the next hypothesis, greater where that is hardly another one.
+        (6,) agreement of colours and of intensities, contrast, how far the model lies beside the object, lead over the
+        next hypothesis, greater where that is hardly another one, and 1 for support.
     """
     best = found[0]
     leads = [
@@ -38,10 +39,11 @@ def features(found: Sequence[Hypothesis], unlike: Float) -> Float:
             best.color,
             np.log1p(best.spill_px),
             min([_MOST_LEAD, *leads]),
+            float(supported),
         ]
     )
 
 
-def confidence(found: Sequence[Hypothesis], unlike: Float) -> float:
+def confidence(found: Sequence[Hypothesis], unlike: Float, *, supported: bool) -> float:
     """Probability 0..1 that the best hypothesis is within 5 deg and 2 cm of the truth; arguments as `features`."""
-    return float(1 / (1 + np.exp(-(features(found, unlike) @ _WEIGHTS + _BIAS))))
+    return float(1 / (1 + np.exp(-(features(found, unlike, supported=supported) @ _WEIGHTS + _BIAS))))

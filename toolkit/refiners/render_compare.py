@@ -9,9 +9,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydantic import Field
 
-from toolkit.fusion import Models, RefineTask
+from toolkit.fusion import Models, RefineTask, Start
 from toolkit.lighting import estimate_light
 from toolkit.refiners.cloud import Cloud
+from toolkit.refiners.combine import combine
 from toolkit.refiners.compare import (
     FREE,
     PLANAR,
@@ -73,8 +74,8 @@ class ImageRefiner(Plugin):
         """How hypotheses are made."""
         raise NotImplementedError
 
-    def starts(self, task: RefineTask) -> tuple[Float, ...]:
-        """(4, 4) motions of other routes that compete."""
+    def starts(self, task: RefineTask) -> tuple[Start, ...]:
+        """Motions of other routes that compete."""
         return task.starts
 
     def refine(self, task: RefineTask) -> Refined | Failure:
@@ -90,10 +91,11 @@ class ImageRefiner(Plugin):
         cloud = self._cloud(task)
         if isinstance(cloud, Failure):
             return cloud
-        found = compare(cloud, view_goal(task.goal, task.segment, task.others), starts, search)
+        goal = view_goal(task.goal, task.segment, task.others)
+        found = compare(cloud, goal, [start.T_goal_current for start in starts], search)
         if not found:
             return Failure("refiner", "no hypothesis stayed finite")
-        return self._answer(judge(found, cloud.model, self.config.same_score), search.free)
+        return self._answer(judge(found, cloud.model, starts, self.config.same_score), cloud.center, search.free)
 
     def verify(self, task: RefineTask) -> float | None:
         """See Refiner."""
@@ -113,17 +115,16 @@ class ImageRefiner(Plugin):
             scene.clouds[task.instance] = Cloud(model, LEVELS_PX, scene.light)
         return scene.clouds[task.instance]
 
-    def _answer(self, verdict: Verdict, free: Float) -> Refined | Failure:
+    def _answer(self, verdict: Verdict, center: Float, free: Float) -> Refined | Failure:
         sure, least = verdict.confidence, self.config.abstain_below
         if sure < least:
             return Abstention("refiner", f"confidence {sure:.2f} is below {least:g}")
-        return Refined(
-            verdict.best.T_goal_current,
-            sure,
-            np.stack([h.T_goal_current for h in verdict.equivalents]),
-            verdict.ambiguity,
-            _covariance(verdict.best.information, free),
-        )
+        motion, covariance = verdict.best.T_goal_current, _covariance(verdict.best.information, free)
+        exact = next((start for start in verdict.supporters if start.covariance is not None), None)
+        if exact is not None:
+            motion, covariance = combine(motion, covariance, center, exact, free)
+        others = [h.T_goal_current for h in verdict.equivalents[1:]]
+        return Refined(motion, sure, np.stack([motion, *others]), verdict.ambiguity, covariance)
 
 
 def _covariance(information: Float, free: Float) -> Float:
@@ -148,6 +149,6 @@ class RenderCompare(ImageRefiner):
         rotations = np.concatenate([yaw_rotations(c.yaws), all_rotations(c.tilts, max(c.yaws // 3, 1))])
         return Search(rotations, FREE, c.kept, c.patches, c.iterations)
 
-    def starts(self, task: RefineTask) -> tuple[Float, ...]:
+    def starts(self, task: RefineTask) -> tuple[Start, ...]:
         """See ImageRefiner."""
         return task.starts[: self.config.kept - 1] if self.config.use_starts else ()

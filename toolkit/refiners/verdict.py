@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from toolkit.fusion import FusedModel
+from toolkit.fusion import FusedModel, Start
 from toolkit.geometry import rotation_angle
+from toolkit.refiners.combine import agreeing
 from toolkit.refiners.compare import Hypothesis
 from toolkit.refiners.confidence import confidence
 from toolkit.refiners.likeness import unlikeness
@@ -25,15 +26,17 @@ class Verdict:
         equivalents: all that agree with the goal image as well, `best` the first.
         ambiguity: what they are.
         confidence: 0..1, probability that `best` is right.
+        supporters: starts that are `best`, found by another route.
     """
 
     best: Hypothesis
     equivalents: tuple[Hypothesis, ...]
     ambiguity: Ambiguity
     confidence: float
+    supporters: tuple[Start, ...]
 
 
-def judge(found: Sequence[Hypothesis], model: FusedModel, same_score: float) -> Verdict:
+def judge(found: Sequence[Hypothesis], model: FusedModel, starts: Sequence[Start], same_score: float) -> Verdict:
     """Choose among hypotheses, best first.
 
     Of those that score as the best does and that nobody could tell from it, because the object is symmetric, the one
@@ -43,6 +46,7 @@ def judge(found: Sequence[Hypothesis], model: FusedModel, same_score: float) -> 
     Args:
         found: refined hypotheses by falling score.
         model: the object.
+        starts: what other routes found.
         same_score: scores this close to the best are as good.
     """
     unlike = unlikeness(model, [h.T_goal_current for h in found])
@@ -51,9 +55,11 @@ def judge(found: Sequence[Hypothesis], model: FusedModel, same_score: float) -> 
     best = min(twins, key=lambda i: rotation_angle(found[i].T_goal_current[:3, :3]))
     others = [i for i in close if i != best]
     hidden = len(twins) < len(close)
+    supporters = agreeing(found[best].T_goal_current, model.center, starts)
     return Verdict(
         found[best],
         (found[best], *(found[i] for i in others)),
         "hidden" if hidden else "symmetric" if others else "none",
-        confidence(found, unlike),
+        confidence(found, unlike, supported=bool(supporters)),
+        tuple(supporters),
     )
