@@ -18,6 +18,9 @@ from toolkit.segmenters.table_map import render_table, scan_table
 from toolkit.stages import SEGMENTERS, Segmenter
 from toolkit.types import Camera, Frame
 
+NAMES = [name for name in SEGMENTERS.names() if name != "grounded_sam"]
+"""What random weights cannot show is asked of these; grounded_sam has tests/test_grounded_sam.py."""
+
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Centre of the base (x, y, z) and size (x, y, z), metres."""
 
@@ -106,7 +109,7 @@ def ious(frame: Frame, segments: Sequence) -> list[float]:
     return [max((float((m & s).sum() / (m | s).sum()) for s in found), default=0) for m in frame.true_masks.values()]
 
 
-@pytest.mark.parametrize("name", SEGMENTERS.names())
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_contract(name: str, noise: float) -> None:
     """Disjoint non-empty masks of the image's size, the true objects, the same twice."""
@@ -120,17 +123,17 @@ def test_contract(name: str, noise: float) -> None:
     assert all(np.array_equal(a.mask, b.mask) for a, b in zip(segments, again, strict=True))
 
 
-@pytest.mark.parametrize("name", SEGMENTERS.names())
+@pytest.mark.parametrize("name", NAMES)
 def test_empty_table_has_no_segment(name: str) -> None:
     assert create(name).segment(image_for(name, []), ring([])) == []
 
 
-@pytest.mark.parametrize("name", SEGMENTERS.names())
+@pytest.mark.parametrize("name", NAMES)
 def test_goal_without_object_has_no_segment(name: str) -> None:
     assert create(name).segment(image_for(name, []), ring(NOW)) == []
 
 
-@pytest.mark.parametrize("name", SEGMENTERS.names())
+@pytest.mark.parametrize("name", NAMES)
 def test_single_object(name: str) -> None:
     frame = image_for(name, THEN[:1])
     segments = create(name).segment(frame, ring(NOW[:1]))

@@ -213,6 +213,7 @@ SEGMENTERS: Registry[Segmenter] = Registry(
     {
         "oracle": "toolkit.segmenters.oracle:OracleSegmenter",
         "depth_plane": "toolkit.segmenters.depth_plane:DepthPlaneSegmenter",
+        "grounded_sam": "toolkit.segmenters.grounded_sam:GroundedSamSegmenter",
         "mobile_sam": "toolkit.segmenters.mobile_sam:MobileSamSegmenter",
         "table_appearance": "toolkit.segmenters.table_appearance:TableAppearanceSegmenter",
     },

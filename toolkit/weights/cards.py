@@ -23,6 +23,7 @@ class WeightCard:
         sha256: of the file; None where its authors publish none and it could not be had to compute one. The digest of
             what was used is recorded in every result row either way.
         non_commercial: whether its licence, or its data's, forbids commercial use.
+        companions: further files of the same source that belong beside it (configuration, tokenizer).
     """
 
     name: str
@@ -34,6 +35,7 @@ class WeightCard:
     citation: str
     sha256: str | None = None
     non_commercial: bool = False
+    companions: tuple[str, ...] = ()
 
 
 _LOFTR = "Sun et al., LoFTR: Detector-Free Local Feature Matching with Transformers, CVPR 2021"
@@ -45,6 +47,8 @@ _CITE_XFEAT = "Potje et al., XFeat: Accelerated Features for Lightweight Image M
 _CITE_ALIKED = "Zhao et al., ALIKED: A Lighter Keypoint and Descriptor Extraction Network, TIM 2023"
 _CITE_DISK = "Tyszkiewicz et al., DISK: Learning Local Features with Policy Gradient, NeurIPS 2020"
 _CITE_LIGHTGLUE = "Lindenberger et al., LightGlue: Local Feature Matching at Light Speed, ICCV 2023"
+_CITE_DINO = "Liu et al., Grounding DINO: Marrying DINO with Grounded Pre-Training, ECCV 2024"
+_CITE_SAM_VIT = "Kirillov et al., Segment Anything, ICCV 2023"
 _CITE_SAM = "Zhang et al., Faster Segment Anything: Towards Lightweight SAM for Mobile Applications, 2023"
 _CITE_MIXVPR = "Ali-bey et al., MixVPR: Feature Mixing for Visual Place Recognition, WACV 2023"
 
@@ -208,6 +212,26 @@ CARDS: dict[str, WeightCard] = {
                 "?id=11rxwsx6aUn7CwRyGxvFOWpAmUxniwREN&export=download&confirm=t",
             ),
             citation=f"{_CITE_MIXVPR} (GSV-Cities)",
+        ),
+        WeightCard(
+            name="grounding-dino-tiny",
+            file="grounding-dino-tiny/model.safetensors",
+            architecture="transformers.GroundingDinoForObjectDetection, Swin-T",
+            licence="Apache-2.0",
+            size_mb=689,
+            sources=("hf://IDEA-Research/grounding-dino-tiny/model.safetensors",),
+            citation=_CITE_DINO,
+            companions=("config.json", "preprocessor_config.json", "tokenizer.json", "tokenizer_config.json"),
+        ),
+        WeightCard(
+            name="sam-vit-base",
+            file="sam-vit-base/model.safetensors",
+            architecture="transformers.SamModel, ViT-B",
+            licence="Apache-2.0",
+            size_mb=375,
+            sources=("hf://facebook/sam-vit-base/model.safetensors",),
+            citation=_CITE_SAM_VIT,
+            companions=("config.json", "preprocessor_config.json"),
         ),
     )
 }

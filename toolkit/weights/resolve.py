@@ -32,13 +32,23 @@ def resolve_weights(name: str, given: Path | None = None) -> Path:
     card = find_card(name)
     found = find_weights(card)
     if found is None:
-        return _fetch(card)
-    if not _is_intact(card, found):
+        found = _fetch(card)
+    elif not _is_intact(card, found):
         raise ToolkitError(
             f"weights '{found}' are damaged or not '{name}': their sha256 differs from the card's; "
             f"remove the file and run `toolkit weights pull {name}`"
         )
+    _complete(card, found)
     return found
+
+
+def resolve_folder(name: str, given: Path | None = None) -> Path:
+    """Find the folder of a checkpoint with companions, as `resolve_weights`; a folder given must exist."""
+    if given is None:
+        return resolve_weights(name).parent
+    if not given.is_dir():
+        raise ToolkitError(f"weights folder '{given}' does not exist")
+    return given
 
 
 def find_card(name: str) -> WeightCard:
@@ -97,3 +107,17 @@ def _fetch(card: WeightCard) -> Path:
         f"weights '{card.name}' cannot be fetched here: {'; '.join(reasons)}; "
         f"put {card.file} into '{target.parent}' or name a folder that holds it in $TOOLKIT_WEIGHTS"
     )
+
+
+def _complete(card: WeightCard, found: Path) -> None:
+    """Fetch the companions that are not beside the checkpoint yet, from the first source."""
+    base = card.sources[0].rpartition("/")[0]
+    for name in card.companions:
+        if (found.parent / name).is_file():
+            continue
+        try:
+            fetch(f"{base}/{name}", found.parent / name)
+        except OSError as error:
+            raise ToolkitError(
+                f"{name} of the weights '{card.name}' cannot be fetched here: {error}; put it into '{found.parent}'"
+            ) from error
