@@ -108,7 +108,7 @@ def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
     for entry in poses["objects"]:
         assert set(entry) == {
             *("goal_object", "bbox_xyxy", "mask", "instance", "status", "T_goal_current"),
-            *("confidence", "equivalents", "stage", "reason", "time_ms"),
+            *("confidence", "equivalents", "ambiguity", "covariance", "stage", "reason", "time_ms"),
         }
         mask = cv2.imread(str(tmp_path / "out" / entry["mask"]), cv2.IMREAD_GRAYSCALE)
         x0, y0, x1, y1 = entry["bbox_xyxy"]
