@@ -120,7 +120,9 @@ class LoftrTask:
         features = _features(model, batch)
         maps = [f["coarse"].flatten(2).transpose(1, 2) for f in features]
         rows = torch.arange(batch.tokens.shape[1])[:, None]
-        coarse = model.loftr_coarse(*(m[rows, t] for m, t in zip(maps, batch.tokens, strict=True)), *batch.valid)
+        coarse = _attend(
+            model.loftr_coarse, *(m[rows, t] for m, t in zip(maps, batch.tokens, strict=True)), *batch.valid
+        )
         temperature = model.coarse_matching.temperature
         log_p = coarse_log_confidence(*coarse, *batch.valid, scale=temperature)
         matching = focal_loss(log_p, batch.matched, batch.negative, c.focal_gamma, c.negative_weight)
@@ -164,10 +166,10 @@ class LoftrTask:
             for c, tokens, valid in zip(coarse, batch.tokens, batch.valid, strict=True)
         ]
         windows = model.fine_preprocess(features[0]["fine"], features[1]["fine"], *grids, data)
-        first, second = model.loftr_fine(*windows)
+        first, second = _attend(model.loftr_fine, *windows)
         data |= {"mkpts0_c": self._cells[i], "mkpts1_c": self._cells[j], "mconf": torch.ones(len(b))}
         with torch.autocast("cpu", enabled=False):
-            model.fine_matching(first.float(), second.float(), data)
+            model.fine_matching(first, second, data)
         reach = FINE_STRIDE * (model.fine_preprocess.W // 2)
         return fine_loss(data["expec_f"], (batch.targets[rows] - self._cells[j]) / reach)
 
@@ -230,6 +232,12 @@ def _features(model: LoFTR, batch: LoftrBatch) -> list[dict[str, Tensor]]:
     images = standardize(batch.images.flatten(0, 1), batch.masks.flatten(0, 1))
     both = model.extract_features(images.contiguous(memory_format=torch.channels_last))
     return [{k: v[:n] for k, v in both.items()}, {k: v[n:] for k, v in both.items()}]
+
+
+def _attend(transformer: nn.Module, first: Tensor, second: Tensor, *masks: Tensor) -> tuple[Tensor, Tensor]:
+    """A transformer's layers in float32: bfloat16 divides so coarsely that linear attention's gradients are noise."""
+    with torch.autocast("cpu", enabled=False):
+        return transformer(first.float(), second.float(), *masks)
 
 
 def _gray(sample: Sample) -> np.ndarray:
