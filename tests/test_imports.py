@@ -13,6 +13,7 @@ import toolkit
 
 ROOT = Path(toolkit.__file__).parent
 STAGE_FOLDERS = (
+    "registration",
     "segmenters",
     "associators",
     "descriptors",
@@ -32,7 +33,19 @@ LAYERS = [
     {"footprints"},
     {"moves"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
-    {"stages", "database", "fusion", "lighting", "assignment", "results", "completion", "pictures", "film", "sim"},
+    {
+        "stages",
+        "database",
+        "fusion",
+        "lighting",
+        "plane",
+        "assignment",
+        "results",
+        "completion",
+        "pictures",
+        "film",
+        "sim",
+    },
     set(STAGE_FOLDERS),
     {"pipeline", "sight", "episode", "cache", "data", "report"},
     {"executors"},

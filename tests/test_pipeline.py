@@ -10,13 +10,24 @@ from toolkit.errors import ToolkitError
 from toolkit.evaluate import score
 from toolkit.geometry import invert, project
 from toolkit.pipeline import Pipeline, PipelineSettings, Stages
-from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
+from toolkit.stages import (
+    ASSOCIATORS,
+    DESCRIPTORS,
+    INDEXES,
+    MATCHERS,
+    PNP,
+    REFINERS,
+    REGISTRATIONS,
+    RETRIEVERS,
+    SEGMENTERS,
+)
 from toolkit.types import Correspondences, Failure, Frame, Matches, PnPSolution, PoseEstimate, Segment
 
 
 def stages(**chosen):
     oracle = SEGMENTERS.create("oracle")
     usual = {
+        "registration": REGISTRATIONS.create("none"),
         "segmenter": oracle,
         "goal_segmenter": oracle,
         "associator": ASSOCIATORS.create("oracle"),

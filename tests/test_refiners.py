@@ -33,13 +33,24 @@ from toolkit.refiners.images import normalized
 from toolkit.refiners.likeness import unlikeness
 from toolkit.refiners.verdict import judge
 from toolkit.regions import lift_segment
-from toolkit.stages import ASSOCIATORS, DESCRIPTORS, INDEXES, MATCHERS, PNP, REFINERS, RETRIEVERS, SEGMENTERS
+from toolkit.stages import (
+    ASSOCIATORS,
+    DESCRIPTORS,
+    INDEXES,
+    MATCHERS,
+    PNP,
+    REFINERS,
+    REGISTRATIONS,
+    RETRIEVERS,
+    SEGMENTERS,
+)
 from toolkit.types import Abstention, Failure, Refined, Segment
 
 
 def make_pipeline(refiner, settings=None, **pipeline):
     oracle = SEGMENTERS.create("oracle")
     stages = Stages(
+        registration=REGISTRATIONS.create("none"),
         segmenter=oracle,
         goal_segmenter=oracle,
         associator=ASSOCIATORS.create("oracle"),

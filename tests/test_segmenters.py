@@ -6,80 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import raycast
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from raycast import HEIGHT, NOW, THEN, WIDTH, Box, camera, shoot
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import invert, look_at, transform_points
+from toolkit.geometry import invert, transform_points
+from toolkit.plane import fit_plane, pixel_rays
 from toolkit.segmenters.clusters import inside_hull, table_hull
-from toolkit.segmenters.plane import fit_plane, pixel_rays
 from toolkit.segmenters.split import neck_cuts
 from toolkit.segmenters.table_map import render_table, scan_table
 from toolkit.stages import SEGMENTERS, Segmenter
-from toolkit.types import Camera, Frame
+from toolkit.types import Frame
 
 NAMES = [name for name in SEGMENTERS.names() if name != "grounded_sam"]
 """What random weights cannot show is asked of these; grounded_sam has tests/test_grounded_sam.py."""
-
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Centre of the base (x, y, z) and size (x, y, z), metres."""
-
-WIDTH, HEIGHT = 320, 240
-K = np.array([[308.0, 0, 159.5], [0, 308.0, 119.5], [0, 0, 1]])
-COLOURS = np.array([[200, 40, 40], [40, 60, 190], [30, 140, 50], [230, 220, 60]], np.uint8)
-HALF_TABLE = 0.5
-
-NOW: list[Box] = [
-    ((-0.2, 0.0, 0), (0.08, 0.12, 0.1)),
-    ((0.1, 0.1, 0), (0.2, 0.03, 0.01)),
-    ((0.15, -0.15, 0), (0.07,) * 3),
-]
-THEN: list[Box] = [
-    ((0.2, 0.1, 0), (0.08, 0.12, 0.1)),
-    ((-0.1, -0.1, 0), (0.2, 0.03, 0.01)),
-    ((-0.1, 0.1, 0), (0.07,) * 3),
-]
-
-
-def camera(azimuth_deg: float) -> Camera:
-    """A view of the table's centre from 1 m and 45 degrees above."""
-    a = np.radians(azimuth_deg)
-    eye = np.array([0.75 * np.cos(a), 0.75 * np.sin(a), 0.75])
-    return Camera(K, look_at(eye, np.zeros(3)), WIDTH, HEIGHT)
-
-
-def shoot(index: int, view: Camera, boxes: Sequence[Box], noise: float = 0.0, *, depth: bool = True) -> Frame:
-    """Ray-cast boxes on a textured table; beyond its edge is grey, without depth."""
-    frame = Frame(index, np.zeros((HEIGHT, WIDTH, 3), np.uint8), view)
-    T = view.T_world_camera
-    rays = pixel_rays(frame).astype(np.float64) @ T[:3, :3].T
-    eye = T[:3, 3]
-    nearest = -eye[2] / rays[..., 2]
-    ground = eye + nearest[..., None] * rays
-    on_table = (np.abs(ground[..., :2]) < HALF_TABLE).all(axis=2) & (nearest > 0)
-    owner = np.where(on_table, 0, -1)
-    nearest = np.where(on_table, nearest, np.inf)
-    grain = 12 * np.sin(40 * ground[..., 0] + 6 * np.sin(25 * ground[..., 1])) + 8 * np.sin(90 * ground[..., 1])
-    rgb = np.where(on_table[..., None], np.array([170, 140, 100]) + grain[..., None], 95.0)
-    for k, (base, size) in enumerate(boxes, start=1):
-        low, high = np.array(base) - np.array([size[0] / 2, size[1] / 2, 0]), np.array(base)
-        high = high + np.array([size[0] / 2, size[1] / 2, size[2]])
-        with np.errstate(divide="ignore"):
-            a, b = (low - eye) / rays, (high - eye) / rays
-        enter, leave = np.minimum(a, b).max(axis=2), np.maximum(a, b).min(axis=2)
-        hit = (enter < leave) & (enter > 0) & (enter < nearest)
-        nearest = np.where(hit, enter, nearest)
-        owner[hit] = k
-        side = np.minimum(a, b).argmax(axis=2)
-        shade = np.array([0.75, 0.85, 1.0])[side]
-        rgb = np.where(hit[..., None], COLOURS[(k - 1) % len(COLOURS)] * shade[..., None], rgb)
-    rng = np.random.default_rng(index)
-    z = np.where(np.isfinite(nearest), nearest, 0)
-    if noise:
-        z = z * (1 + noise * rng.standard_normal(z.shape)) * (rng.random(z.shape) > 0.02)
-        rgb = rgb + rng.normal(0, 2.5, rgb.shape)
-    masks = {k: owner == k for k in range(1, len(boxes) + 1) if (owner == k).any()}
-    return Frame(index, rgb.clip(0, 255).astype(np.uint8), view, z.astype(np.float32) if depth else None, masks)
 
 
 def ring(boxes: Sequence[Box], noise: float = 0.0) -> list[Frame]:
@@ -201,7 +143,7 @@ def test_a_shadow_is_not_an_object(name: str, strength: float, where: str) -> No
 
 
 def test_an_object_of_the_tables_colour_is_no_shadow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "COLOURS", np.array([[119, 98, 70], [40, 60, 190], [136, 112, 80]], np.uint8))
+    monkeypatch.setattr(raycast, "COLOURS", np.array([[119, 98, 70], [40, 60, 190], [136, 112, 80]], np.uint8))
     goal = image_for("table_appearance", THEN)
     segments = SEGMENTERS.create("table_appearance").segment(goal, ring(NOW))
     assert len(segments) == len(THEN)

@@ -40,6 +40,7 @@ class StageChoice(BaseModel):
 class PipelineChoice(PipelineSettings):
     """The `pipeline:` part of an experiment: one choice a slot, and the pipeline's own settings."""
 
+    registration: StageChoice = StageChoice(name="none")
     segmenter: StageChoice
     goal_segmenter: StageChoice
     associator: StageChoice

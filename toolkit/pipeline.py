@@ -18,7 +18,7 @@ from toolkit.lifting import lift_matches, merge
 from toolkit.meter import Meter
 from toolkit.regions import lift_segment
 from toolkit.registry import PluginConfig
-from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Refiner, Retriever, Segmenter
+from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Refiner, Registration, Retriever, Segmenter
 from toolkit.types import (
     Capture,
     Correspondences,
@@ -58,6 +58,7 @@ _DEFAULTS = PipelineSettings()
 class Stages:
     """One implementation for every stage of the perception module."""
 
+    registration: Registration
     segmenter: Segmenter
     goal_segmenter: Segmenter
     associator: Associator
@@ -113,6 +114,8 @@ class Pipeline:
             ToolkitError: more views are asked for than there are, or a stage refuses its input.
         """
         frames = self._choose_views(frames)
+        with self.meter.stage("registration"):
+            frames = self.stages.registration.register(frames)
         regions: list[Region] = []
         dropped = 0
         with self.meter.stage("segmenter"):
@@ -140,6 +143,8 @@ class Pipeline:
 
         The database's share of the time is spread evenly over the objects.
         """
+        with self.meter.stage("registration"):
+            goal = self.stages.registration.locate(goal, database.frames)
         with self.meter.stage("segmenter"):
             segments = self.stages.goal_segmenter.segment(goal, database.frames)
         if not segments:

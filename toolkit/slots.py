@@ -1,6 +1,7 @@
 """Pipeline slots by stage. Imports nothing, so that the command line starts at once."""
 
 SLOTS: dict[str, str] = {
+    "registration": "registration",
     "segmenter": "segmenter",
     "goal_segmenter": "segmenter",
     "associator": "associator",

@@ -41,6 +41,18 @@ class Segmenter(Protocol):
         ...
 
 
+class Registration(Protocol):
+    """Corrects the poses of cameras by what their images show. Frames keep all but their camera's pose."""
+
+    def register(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Return the current frames, RGB-D, with poses that agree with each other."""
+        ...
+
+    def locate(self, goal: Frame, frames: Sequence[Frame]) -> Frame:
+        """Return the goal image, which has no depth, with a pose that agrees with the registered frames."""
+        ...
+
+
 class Associator(Protocol):
     """Groups regions of several frames into object instances (Sec. Method A)."""
 
@@ -207,6 +219,14 @@ class Executor(Protocol):
         ...
 
 
+REGISTRATIONS: Registry[Registration] = Registry(
+    "registration",
+    "toolkit.registrations",
+    {
+        "none": "toolkit.registration.trusted:Trusted",
+        "table": "toolkit.registration.table:TableRegistration",
+    },
+)
 SEGMENTERS: Registry[Segmenter] = Registry(
     "segmenter",
     "toolkit.segmenters",
@@ -296,6 +316,7 @@ EXECUTORS: Registry[Executor] = Registry(
 REGISTRIES: dict[str, Registry[Any]] = {
     registry.stage: registry
     for registry in (
+        REGISTRATIONS,
         SEGMENTERS,
         ASSOCIATORS,
         DESCRIPTORS,

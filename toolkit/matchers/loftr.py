@@ -16,9 +16,9 @@ from kornia.feature import LoFTR
 from kornia.feature.loftr.loftr import default_cfg
 from pydantic import Field
 
+from toolkit.matchers.turns import TurningConfig, TurningMatcher
 from toolkit.models.loftr import Encoded, encode, match_encoded
 from toolkit.models.loftr_small import make_loftr_small, standardize
-from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Mask, Matches
 from toolkit.weights.load import fill, read_tensors
 from toolkit.weights.resolve import file_digest, resolve_weights
@@ -36,7 +36,7 @@ def best_precision() -> Literal["float32", "bfloat16"]:
     return "bfloat16" if torch.cpu._is_avx512_bf16_supported() else "float32"  # pyright: ignore[reportPrivateUsage]
 
 
-class LoftrConfig(PluginConfig):
+class LoftrConfig(TurningConfig):
     """Settings of `loftr`."""
 
     weights: Literal["outdoor", "indoor_new", "tabletop"] = Field(
@@ -61,7 +61,7 @@ class LoftrFeatures:
     mask: Mask
 
 
-class LoftrMatcher(Plugin):
+class LoftrMatcher(TurningMatcher):
     """LoFTR (Sun et al., CVPR 2021), kornia's implementation, the paper's matcher."""
 
     stage = "matcher"
@@ -83,7 +83,7 @@ class LoftrMatcher(Plugin):
         return {self._path.name: file_digest(self._path)}
 
     @torch.inference_mode()
-    def extract(self, crops: Sequence[Crop]) -> list[LoftrFeatures]:
+    def extract_upright(self, crops: Sequence[Crop]) -> list[LoftrFeatures]:
         """Backbone and first self-attention of every crop."""
         found: list[LoftrFeatures] = []
         for start in range(0, len(crops), _BATCH):
@@ -102,7 +102,7 @@ class LoftrMatcher(Plugin):
         return found
 
     @torch.inference_mode()
-    def match(self, query: LoftrFeatures, references: Sequence[LoftrFeatures]) -> list[Matches]:
+    def match_upright(self, query: LoftrFeatures, references: Sequence[LoftrFeatures]) -> list[Matches]:
         """Match one crop to all references in batches; matches off either object are dropped."""
         found: list[Matches] = []
         for start in range(0, len(references), _BATCH):

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.plane import Plane, on_plane, pixel_rays, plan_axes
 from toolkit.segmenters.labels import keep, nearest_label
-from toolkit.segmenters.plane import Plane, on_plane, pixel_rays, plan_axes
 from toolkit.types import Float, Frame, Mask
 
 _SMOOTH_PX = 1.5

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from toolkit.plane import fit_plane
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.segmenters.clusters import cluster_above_plane, is_noisy
 from toolkit.segmenters.labels import keep
-from toolkit.segmenters.plane import fit_plane
 from toolkit.segmenters.refine import snap_to_colour
 from toolkit.types import Frame, Segment
 

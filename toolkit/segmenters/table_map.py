@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
+from toolkit.plane import Plane, fit_plane, on_plane, pixel_rays, table_frame, table_homography
 from toolkit.segmenters.clusters import cluster_above_plane, table_hull
 from toolkit.segmenters.looks import learn_looks
-from toolkit.segmenters.plane import Plane, fit_plane, on_plane, pixel_rays
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
 _OBJECT_MARGIN_PX = 4
@@ -87,7 +87,7 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
         planes.append(plane)
     if not frames:
         raise error
-    T_world_table = _table_frame([frame for frame, _ in frames], planes)
+    T_world_table = table_frame([frame for frame, _ in frames], planes)
     points = np.concatenate([_table_points(frame, mask) for frame, mask in frames])
     in_table = (points - T_world_table[:3, 3]) @ T_world_table[:3, :2]
     outline = table_hull(in_table.astype(np.float32)).astype(np.float64)
@@ -99,10 +99,10 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
 def render_table(scan: TableScan, camera: Camera) -> TableView:
     """Draw the empty table as `camera` sees it: every frame warped by the table's homography, then their median."""
     size = (camera.width, camera.height)
-    to_camera = _homography(scan.T_world_table, camera)
+    to_camera = table_homography(scan.T_world_table, camera)
     colours, counts = [], np.zeros((camera.height, camera.width), np.uint8)
     for frame, mask in scan.frames:
-        warp = _homography(scan.T_world_table, frame.camera) @ np.linalg.inv(to_camera)
+        warp = table_homography(scan.T_world_table, frame.camera) @ np.linalg.inv(to_camera)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         rgb = cv2.warpPerspective(frame.rgb, warp, size, flags=flags)
         seen = cv2.warpPerspective(mask.astype(np.uint8) * 255, warp, size, flags=flags) == 255
@@ -126,21 +126,6 @@ def _sorted(images: list[Image]) -> Image:
     return np.stack(rows)
 
 
-def _table_frame(frames: Sequence[Frame], planes: Sequence[Plane]) -> Float:
-    """(4, 4) T_world_table from the mean of the frames' planes."""
-    poses = np.array([frame.camera.T_world_camera for frame in frames])
-    normals = np.array([T[:3, :3] @ plane.normal for T, plane in zip(poses, planes, strict=True)])
-    up = np.median(normals, axis=0)
-    up /= np.linalg.norm(up)
-    levels = [T[:3, 3] @ n - plane.camera_height for T, n, plane in zip(poses, normals, planes, strict=True)]
-    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    side /= np.linalg.norm(side)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([side, np.cross(up, side), up], axis=1)
-    T[:3, 3] = up * np.median(levels)
-    return T
-
-
 def _places(frame: Frame, labels: NDArray[np.int32], T_world_table: Float) -> Float:
     """(n, 2) mean position of every label 1..n on the table, metres."""
     assert frame.depth is not None
@@ -159,12 +144,6 @@ def _table_points(frame: Frame, mask: Mask, step: int = 4) -> Float:
     chosen = mask[::step, ::step]
     points = pixel_rays(frame)[::step, ::step][chosen] * frame.depth[::step, ::step][chosen][:, None]
     return points @ frame.camera.T_world_camera[:3, :3].T + frame.camera.T_world_camera[:3, 3]
-
-
-def _homography(T_world_table: Float, camera: Camera) -> Float:
-    """(3, 3) from (x, y, 1) on the table to pixels (Hartley and Zisserman, Multiple View Geometry, 8.1)."""
-    T = invert(camera.T_world_camera) @ T_world_table
-    return camera.K @ T[:3, [0, 1, 3]]
 
 
 def _polygon(scan: TableScan, camera: Camera, levels: Sequence[float]) -> Mask:

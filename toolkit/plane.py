@@ -6,13 +6,15 @@ camera's error is even in inverse depth, so both the fit and its noise live ther
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from toolkit.errors import ToolkitError
-from toolkit.types import Float, Frame, Mask
+from toolkit.geometry import invert
+from toolkit.types import Camera, Float, Frame, Mask
 
 _SAMPLES = 3000
 _HYPOTHESES = 256
@@ -132,3 +134,24 @@ def on_plane(plane: Plane, frame: Frame, tolerance: float = 4.0) -> Mask:
     reach = np.maximum(tolerance * plane.noise, 1e-3 / plane.camera_height * expected)
     with np.errstate(divide="ignore"):
         return np.abs(1 / frame.depth - expected) < reach
+
+
+def table_frame(frames: Sequence[Frame], planes: Sequence[Plane]) -> Float:
+    """(4, 4) T_world_table: z = 0 is the table, z points up from it; the median of what (F,) frames' planes say."""
+    poses = np.array([frame.camera.T_world_camera for frame in frames])
+    normals = np.array([T[:3, :3] @ plane.normal for T, plane in zip(poses, planes, strict=True)])
+    up = np.median(normals, axis=0)
+    up /= np.linalg.norm(up)
+    levels = [T[:3, 3] @ n - plane.camera_height for T, n, plane in zip(poses, normals, planes, strict=True)]
+    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    side /= np.linalg.norm(side)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([side, np.cross(up, side), up], axis=1)
+    T[:3, 3] = up * np.median(levels)
+    return T
+
+
+def table_homography(T_world_table: Float, camera: Camera) -> Float:
+    """(3, 3) from (x, y, 1) on the table to pixels (Hartley and Zisserman, Multiple View Geometry, 8.1)."""
+    T = invert(camera.T_world_camera) @ T_world_table
+    return camera.K @ T[:3, [0, 1, 3]]
