@@ -7,7 +7,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from scipy.spatial import Delaunay, KDTree, QhullError
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from toolkit.database import Database
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
@@ -188,10 +188,10 @@ def _off_the_table(model: FusedModel) -> FusedModel:
     if not 0 < len(low) < len(height) - MIN_POINTS:
         return model
     try:
-        footprint = Delaunay(xy[height >= _CONTACT_M])
+        sides = ConvexHull(xy[height >= _CONTACT_M]).equations
     except QhullError:
         return model
-    beside = low[footprint.find_simplex(xy[low]) < 0]
+    beside = low[(xy[low] @ sides[:, :2].T + sides[:, 2] > 0).any(axis=1)]
     rim = beside[model.normals_at(beside)[:, 2] > _LEVEL]
     if not 0 < len(rim) <= _MOST_RIM * len(height):
         return model
