@@ -60,6 +60,12 @@ def rotation_angle(R: Float) -> float:
     return float(Rotation.from_matrix(R).magnitude())
 
 
+def is_same_motion(a: Float, b: Float, at: Float, angle: float, shift: float) -> bool:
+    """Say whether (4, 4) motions turn alike within `angle` radians and take point `at` (3,) within `shift` metres."""
+    apart = np.linalg.norm(transform_points(a, at) - transform_points(b, at))
+    return bool(apart < shift and rotation_angle(a[:3, :3].T @ b[:3, :3]) < angle)
+
+
 def look_at(eye: Float, target: Float, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Float:
     """(4, 4) T_world_camera, OpenCV axes, of a camera at `eye` (3,) that looks at `target` (3,).
 

@@ -1,4 +1,4 @@
-"""Time the parts of render_compare on real objects, and how they grow with hypotheses and views; prints Markdown.
+"""Time an object's way through the pipeline, and how it grows with points, hypotheses and views; prints Markdown.
 
 toolkit dataset build captures --scenes 4 --seed 0
 python experiments/benchmarks/refiners.py captures
@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from rich.console import Console
@@ -20,17 +22,16 @@ from rich.progress import track
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
+from toolkit.database import Database
 from toolkit.experiment import create_stage, expand, load_experiment, own_settings
 from toolkit.fusion import FusedModel, fuse
 from toolkit.pipeline import Pipeline, Stages
-from toolkit.refiners.cloud import Cloud
+from toolkit.refiners import cloud
 from toolkit.refiners.compare import Search, compare
 from toolkit.refiners.goal import LEVELS_PX, view_goal
-from toolkit.refiners.render_compare import RenderCompare
+from toolkit.refiners.render_compare import RenderCompare, RenderCompareConfig
 from toolkit.slots import SLOTS
-from toolkit.types import Segment
-
-ORACLES = {"pipeline.segmenter": ["oracle"], "pipeline.goal_segmenter": ["oracle"], "pipeline.associator": ["oracle"]}
+from toolkit.types import Frame, Segment
 
 
 def timed(call: Callable[[], Any], repeats: int) -> float:
@@ -44,6 +45,30 @@ def timed(call: Callable[[], Any], repeats: int) -> float:
     return float(np.median(times))
 
 
+def whole_objects(
+    pipeline: Pipeline, database: Database, goal: Frame, repeats: int, times: dict[str, list[float]]
+) -> None:
+    """Add what every goal object costs from its mask to its motion, all routes included, and what each stage of it."""
+    runs: list[list[dict[str, float]]] = []
+    for _ in range(repeats + 1):
+        pipeline.meter.take()
+        runs.append([dict(estimate.time_ms) for estimate in pipeline.estimate(database, goal)])
+    for own in zip(*runs[1:], strict=True):
+        times["one object, every route"].append(float(np.median([sum(run.values()) for run in own])))
+        for stage in ("descriptor", "matcher", "pnp", "refiner"):
+            times[f"of that, {stage}"].append(float(np.median([run[stage] for run in own])))
+
+
+def of_views(database: Database, views: int) -> Database:
+    """The database as fewer views, evenly spaced, would have made it."""
+    chosen = {database.frames[len(database.frames) * i // views].index for i in range(views)}
+    rows = [row for row, region in enumerate(database.regions) if region.frame_index in chosen]
+    regions = tuple(database.regions[row] for row in rows)
+    return replace(
+        database, regions=regions, instances=database.instances[rows], descriptors=database.descriptors[rows]
+    )
+
+
 def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -51,31 +76,40 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
 
-    cell = expand(load_experiment("estimate", ORACLES))[0]
+    cell = expand(load_experiment("render_compare"))[0]
     stages = Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS})
     pipeline = Pipeline(stages, own_settings(cell.pipeline))
     usual = RenderCompare().search()
     variants: dict[str, Search] = {"render_compare": usual}
-    variants |= {f"{n} yaws": RenderCompare(RenderCompare.Config(yaws=n)).search() for n in (18, 36, 144)}
+    variants |= {
+        f"{n} yaws": RenderCompare(RenderCompareConfig.model_validate({"yaws": n})).search() for n in (18, 36, 144)
+    }
     variants |= {f"{n} refined": replace(usual, kept=n) for n in (5, 20)}
-    variants |= {f"{n} patches": replace(usual, patches=n) for n in (1, 4)}
-    variants["prior none"] = RenderCompare(RenderCompare.Config(prior="none")).search()
-    times: dict[str, list[float]] = {name: [] for name in ("fuse", "cut out the goal", *variants)}
+    variants |= {f"{n} views compared": replace(usual, patches=n) for n in (1, 4)}
+    variants["prior none"] = RenderCompare(RenderCompareConfig.model_validate({"prior": "none"})).search()
+    times: dict[str, list[float]] = defaultdict(list)
     for folder in track(read_dataset(options.dataset), console=Console(stderr=True)):
         capture = load_capture(folder)
         database = pipeline.build_database(capture.current)
+        whole_objects(pipeline, database, capture.goal, options.repeats, times)
         segments = [Segment(mask) for mask in (capture.goal.true_masks or {}).values()]
         for instance, segment in enumerate(segments[: int(database.instances.max()) + 1]):
+            for views in (2, 4, 8):
+                few = of_views(database, views)
+                times[f"fuse {views} views"].append(timed(partial(fuse, few, instance), options.repeats))
             model = fuse(database, instance)
             if not isinstance(model, FusedModel):
                 continue
-
             cut = partial(view_goal, capture.goal, segment, [s for s in segments if s is not segment])
-            cloud, goal = Cloud(model, LEVELS_PX, np.zeros(3)), cut()
-            times["fuse"].append(timed(partial(fuse, database, instance), options.repeats))
+            goal = cut()
             times["cut out the goal"].append(timed(cut, options.repeats))
+            for points in (256, 4096, cloud.SHAPE_POINTS):
+                with mock.patch.object(cloud, "SHAPE_POINTS", points):
+                    sampled = cloud.Cloud(model, LEVELS_PX, np.zeros(3))
+                search = partial(compare, sampled, goal, (), usual)
+                times[f"render_compare with {points} points"].append(timed(search, options.repeats))
             for name, search in variants.items():
-                times[name].append(timed(partial(compare, cloud, goal, (), search), options.repeats))
+                times[name].append(timed(partial(compare, sampled, goal, (), search), options.repeats))
     print("| what | median, ms | p90, ms | against render_compare |\n| --- | --- | --- | --- |")
     reference = np.median(times["render_compare"])
     for name, own in times.items():

@@ -171,7 +171,7 @@ class Studio:
         return self._config.supersample if self._config.renderer == "tiny" else 1
 
     def _shoot(self, index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
-        seen = _jitter(camera, self._rng) if "pose" in self._config.effects else camera
+        seen = jitter(camera, self._rng) if "pose" in self._config.effects else camera
         rgb, z, ids = self._world.render(seen, light, self._supersample)
         rgb[ids < 0] = _BACKGROUND
         masks: dict[int, Mask] = {i: ids == body for i, body in enumerate(self._bodies)}
@@ -248,7 +248,7 @@ def _lights(config: TabletopConfig, rng: np.random.Generator) -> tuple[Light, Li
     return draw(), draw()
 
 
-def _jitter(camera: Camera, rng: np.random.Generator) -> Camera:
+def jitter(camera: Camera, rng: np.random.Generator) -> Camera:
     """Where the camera really is, when its stated pose is off by a calibrated arm's error."""
     turn = Rotation.from_rotvec(rng.normal(0, np.radians(_POSE_JITTER_DEG) / np.sqrt(3), 3)).as_matrix()
     shift = rng.normal(0, _POSE_JITTER_M / np.sqrt(3), 3)

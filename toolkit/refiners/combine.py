@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolkit.fusion import Start
-from toolkit.geometry import make_transform, rotation_angle, transform_points
+from toolkit.geometry import is_same_motion, make_transform, transform_points
 from toolkit.types import Float
 
 _AGREE_RAD, _AGREE_M = np.radians(3), 0.01
@@ -23,12 +23,7 @@ _BIAS_RAD, _BIAS_M = np.radians(0.1), 0.0007
 
 def agreeing(T_goal_current: Float, center: Float, starts: Sequence[Start]) -> list[Start]:
     """The starts that are the (4, 4) motion found again, judged at the (3,) centre of the object."""
-    return [start for start in starts if _agree(T_goal_current, start.T_goal_current, center)]
-
-
-def _agree(a: Float, b: Float, center: Float) -> bool:
-    shift = np.linalg.norm(transform_points(a, center) - transform_points(b, center))
-    return bool(shift < _AGREE_M and rotation_angle(a[:3, :3].T @ b[:3, :3]) < _AGREE_RAD)
+    return [s for s in starts if is_same_motion(T_goal_current, s.T_goal_current, center, _AGREE_RAD, _AGREE_M)]
 
 
 def combine(T_goal_current: Float, covariance: Float, center: Float, start: Start, free: Float) -> tuple[Float, Float]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolkit.geometry import invert, make_transform, rotation_angle, transform_points
+from toolkit.geometry import invert, is_same_motion, make_transform
 from toolkit.refiners.align import Source, align
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.goal import GoalView
@@ -226,14 +226,10 @@ def _distinct(hypotheses: list[Hypothesis], center: Float) -> list[Hypothesis]:
     """Without those that came out where a better one did."""
     kept: list[Hypothesis] = []
     for h in hypotheses:
-        if not any(_same(h.T_goal_current, other.T_goal_current, center) for other in kept):
+        T = h.T_goal_current
+        if not any(is_same_motion(T, k.T_goal_current, center, _DISTINCT_RAD, _DISTINCT_M) for k in kept):
             kept.append(h)
     return kept
-
-
-def _same(a: Float, b: Float, center: Float) -> bool:
-    shift = np.linalg.norm(transform_points(a, center) - transform_points(b, center))
-    return bool(shift < _DISTINCT_M and rotation_angle(a[:3, :3].T @ b[:3, :3]) < _DISTINCT_RAD)
 
 
 def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float, patches: int) -> Source:
