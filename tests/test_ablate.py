@@ -93,7 +93,7 @@ def test_the_issue_s_four_cells_share_their_scenes():
 def test_missing_weights_stop_the_command_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setenv("TOOLKIT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("toolkit.weights.resolve.fetch", _no_network)
-    experiment = load_experiment("quick", {"pipeline.matcher": ["sift", "loftr"]})
+    experiment = load_experiment("quick", {"pipeline.matcher": ["sift", {"name": "loftr", "weights": "outdoor"}]})
     with pytest.raises(ToolkitError, match=r"put loftr_outdoor\.ckpt into"):
         run_experiment(experiment, RunOptions(out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()

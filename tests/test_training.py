@@ -233,19 +233,15 @@ def test_shipped_weights_are_what_their_card_says(path):
 def test_shipped_weights_need_no_network(monkeypatch, tmp_path):
     monkeypatch.setenv("TOOLKIT_CACHE", str(tmp_path))
     monkeypatch.setattr("toolkit.weights.resolve.fetch", None)
-    assert resolve_weights("mixvpr-tabletop").parent == SHIPPED
+    for name in ("loftr-tabletop", "mixvpr-tabletop"):
+        assert resolve_weights(name).parent == SHIPPED
 
 
 def test_an_exported_loftr_is_what_the_matcher_takes(tmp_path, capture):
-    """And without a file, a sentence says where one is to be put."""
     export(make_loftr_small(), tmp_path / "own.safetensors", {})
-    matcher = MATCHERS.create(
-        "loftr", {"weights": "tabletop", "file": str(tmp_path / "own.safetensors"), "threshold": 0}
-    )
+    matcher = MATCHERS.create("loftr", {"file": str(tmp_path / "own.safetensors"), "threshold": 0})
     frame = capture.current[0]
     crops = [crop_region(frame.rgb, Segment(mask), matcher.crop_size) for mask in frame.true_masks.values()]
     features = matcher.extract(crops)
     (matches,) = matcher.match(features[0], features[:1])
     assert len(matches) > 20
-    with pytest.raises(ToolkitError, match=r"put loftr_tabletop\.safetensors into"):
-        MATCHERS.create("loftr", {"weights": "tabletop"}).check_ready()

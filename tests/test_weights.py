@@ -233,8 +233,8 @@ def test_every_card_is_complete():
     for name, card in CARDS.items():
         assert name == card.name and card.licence and card.citation and card.sources and card.size_mb > 0
         assert card.sha256 is None or re.fullmatch("[0-9a-f]{64}", card.sha256)
-        # What is published once and for all is pinned; the small LoFTR is not shipped yet (docs/training.md).
-        unpinned = all(source.startswith(("hf:", "https:")) for source in card.sources) or name == "loftr-tabletop"
+        # What is published once and for all is pinned.
+        unpinned = all(source.startswith(("hf:", "https:")) for source in card.sources)
         assert card.sha256 or unpinned
     assert len({card.file for card in CARDS.values()}) == len(CARDS)
 

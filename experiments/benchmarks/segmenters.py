@@ -56,12 +56,13 @@ def main() -> None:
     parser.add_argument("dataset", type=Path, help="folder of capture folders")
     parser.add_argument("--scenes", type=int, default=20, help="how many captures, from the first")
     parser.add_argument("--segmenter", action="append", help="only these; all when left out")
+    parser.add_argument("--images", choices=("goal", "current"), action="append", help="only these; both when left out")
     arguments = parser.parse_args()
     captures = sorted(path.parent for path in arguments.dataset.glob("*/goal"))[: arguments.scenes]
     if not captures:
         parser.error(f"there is no capture in '{arguments.dataset}'")
     names = arguments.segmenter or SEGMENTERS.names()
-    tallies = {(name, kind): Tally() for name in names for kind in ("current", "goal")}
+    tallies = {(name, kind): Tally() for name in names for kind in arguments.images or ("current", "goal")}
     console = Console()
     with Progress(Console(stderr=True)).step("segmenting", len(captures)) as advance:
         for number, path in enumerate(captures):
@@ -91,6 +92,8 @@ def _score(name: str, capture: Capture, number: int, tallies: dict[tuple[str, st
     for kind, frame in images:
         if frame.true_masks is None:
             raise SystemExit(f"capture '{capture.name}' has no true masks to score against")
+        if (name, kind) not in tallies:
+            continue
         tally = tallies[name, kind]
         start = time.perf_counter()
         try:

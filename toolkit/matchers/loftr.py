@@ -39,8 +39,8 @@ def best_precision() -> Literal["float32", "bfloat16"]:
 class LoftrConfig(TurningConfig):
     """Settings of `loftr`."""
 
-    weights: Literal["outdoor", "indoor_new", "tabletop"] = Field(
-        "outdoor", description="An official checkpoint, or the small LoFTR that `toolkit train loftr` makes."
+    weights: Literal["tabletop", "outdoor", "indoor_new"] = Field(
+        "tabletop", description="The small LoFTR that this package carries, or an official checkpoint."
     )
     file: Path | None = Field(None, description="A checkpoint of your own, of the same architecture as `weights`.")
     crop_size: int | None = Field(
