@@ -26,7 +26,6 @@ from toolkit.weights.resolve import file_digest, resolve_weights
 _PIXEL_CENTER = 0.5
 """The models put the centre of the top-left pixel at (0.5, 0.5); ours is at (0, 0)."""
 
-_CROP_SIZE = {"tabletop": 160, "outdoor": 320, "indoor_new": 320}
 _BATCH = 16
 """Candidates matched together: enough to fill a processor, and a bound on memory."""
 
@@ -43,9 +42,7 @@ class LoftrConfig(TurningConfig):
         "tabletop", description="The small LoFTR that this package carries, or an official checkpoint."
     )
     file: Path | None = Field(None, description="A checkpoint of your own, of the same architecture as `weights`.")
-    crop_size: int | None = Field(
-        None, ge=32, multiple_of=8, description="Side of the crops, pixels; 160 for tabletop, else 320, when left out."
-    )
+    crop_size: int = Field(320, ge=32, multiple_of=8, description="Side of the crops, pixels.")
     threshold: float = Field(0.2, ge=0, le=1, description="Least dual-softmax confidence of a match.")
     precision: Literal["float32", "bfloat16"] = Field(
         default_factory=best_precision, description="Of convolutions and attention; bfloat16 where it is faster."
@@ -72,7 +69,7 @@ class LoftrMatcher(TurningMatcher):
     @property
     def crop_size(self) -> int:
         """Side of the crops, pixels."""
-        return self.config.crop_size or _CROP_SIZE[self.config.weights]
+        return self.config.crop_size
 
     def check_ready(self) -> None:
         """Load the checkpoint, so that a missing or foreign file stops the command before any work."""

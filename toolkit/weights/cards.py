@@ -178,9 +178,7 @@ CARDS: dict[str, WeightCard] = {
             citation=_CITE_SAM,
             sha256="800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
         ),
-        _trained_here(
-            "loftr-tabletop", "the toolkit's small LoFTR over XFeat's backbone, 160 px", f"{_LOFTR}; {_CITE_XFEAT}"
-        ),
+        _trained_here("loftr-tabletop", "the toolkit's small LoFTR over XFeat's backbone", f"{_LOFTR}; {_CITE_XFEAT}"),
         _trained_here("mixvpr-tabletop", "the mixer of MixVPR over EfficientNet-Lite0, 160 px", _CITE_MIXVPR),
         WeightCard(
             name="efficientnet-lite0",
