@@ -101,6 +101,9 @@ class Pipeline:
     settings: PipelineSettings = _DEFAULTS
     seed: int = 0
     meter: Meter = field(default_factory=Meter)
+    _kept: list[tuple[_References, Models]] = field(
+        default_factory=list[tuple["_References", Models]], init=False, repr=False, compare=False
+    )
 
     def run(self, capture: Capture) -> list[PoseEstimate]:
         """Estimate the motion of every goal object of a capture."""
@@ -141,7 +144,8 @@ class Pipeline:
     def estimate(self, database: Database, goal: Frame) -> list[PoseEstimate]:
         """Pose estimation: one estimate for every object segmented in the goal image.
 
-        The database's share of the time is spread evenly over the objects.
+        The database's share of the time is spread evenly over the objects. What is made of the database on the way,
+        features of its regions and fused models, is kept for further goals until another database comes.
         """
         with self.meter.stage("registration"):
             goal = self.stages.registration.locate(goal, database.frames)
@@ -159,14 +163,13 @@ class Pipeline:
             with self.meter.stage("index"):
                 self.stages.index.build(database.descriptors)
                 rankings = list(self.stages.index.search(queries, len(database))[1])
-        models = Models(database)
+        references, models = self._prepared(database)
         if queries is not None and self.settings.assignment == "global":
             scores = instance_similarity(queries @ database.descriptors.T, database.instances)
             chosen = assign_instances(scores, self._verify(goal, segments, scores, models))
             rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
         shared_ms, shared_cached = self.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
-        references = _References(database, self.stages.matcher, self.settings.crop_margin)
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
             if rankings:
@@ -179,6 +182,13 @@ class Pipeline:
             time_ms = {s: shared_ms.get(s, 0.0) + own_ms.get(s, 0.0) for s in {**shared_ms, **own_ms}}
             estimates.append(replace(estimate, time_ms=time_ms, cached=shared_cached or own_cached))
         return estimates
+
+    def _prepared(self, database: Database) -> tuple[_References, Models]:
+        """What depends on the database alone, made when first needed."""
+        if not self._kept or self._kept[0][0].database is not database:
+            references = _References(database, self.stages.matcher, self.settings.crop_margin)
+            self._kept[:] = [(references, Models(database))]
+        return self._kept[0]
 
     def _estimate_object(
         self, references: _References, goal: Frame, number: int, segment: Segment, ranking: np.ndarray
