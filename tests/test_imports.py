@@ -51,7 +51,8 @@ LAYERS = [
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training"},
+    {"ablate", "estimate", "rearrange", "training", "conformance"},
+    {"pytest_plugin"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

@@ -279,6 +279,40 @@ def show(
 
 
 @app.command()
+def check(
+    stage: Annotated[str, typer.Argument(help="A stage, e.g. matcher.")],
+    name: Annotated[str, typer.Argument(help="An implementation, e.g. sift.")],
+    plugin: Annotated[list[Path], typer.Option("--plugin", help="A plugin file that is not installed.")] = [],  # noqa: B006
+    settings: Annotated[list[str], typer.Option("--set", help="key=value of its settings.")] = [],  # noqa: B006
+) -> None:
+    """Check that an implementation does what its stage asks; exit code 1 where it does not."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from toolkit.conformance import check_plugin
+    from toolkit.experiment import parse_set, register_plugin_file
+
+    for file in plugin:
+        register_plugin_file(file)
+    (registry,) = _registries(stage)
+    chosen = {key: values[0] for key, values in map(parse_set, settings)}
+    outcomes = check_plugin(registry.get(name), chosen)
+    table = Table("check", "", "time", "memory", "remark", box=None, pad_edge=False)
+    for outcome in outcomes:
+        mark = "[green]passed[/green]" if outcome.passed else "[red]failed[/red]"
+        memory = f"+{outcome.grown_mb:.0f} MB" if outcome.grown_mb >= 1 else ""
+        table.add_row(outcome.check, mark, f"{outcome.seconds:.2f} s", memory, escape(outcome.note))
+    Console().print(table)
+    failed = [outcome for outcome in outcomes if not outcome.passed]
+    if failed:
+        raise CheckFailedError(
+            f"{stage} '{name}' fails {len(failed)} of {len(outcomes)} checks; {failed[0].check}: {failed[0].note}"
+        )
+    Console().print(f"{stage} '{name}' passes all {len(outcomes)} checks", highlight=False)
+
+
+@app.command()
 def doctor() -> None:
     """Say what this machine has: versions, cores, renderer, cache, and every plugin that cannot be loaded."""
     from rich.console import Console
@@ -435,6 +469,10 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+class CheckFailedError(Exception):
+    """A plugin fails a check."""
+
+
 class _Stopped(BaseException):
     """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
 
@@ -451,6 +489,9 @@ def main() -> None:
     except ToolkitError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
+    except CheckFailedError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(1)
     except _Stopped:
         sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
         sys.exit(130)

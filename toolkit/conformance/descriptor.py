@@ -1,0 +1,70 @@
+"""What every descriptor must do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolkit.conformance.kit import Check, Subject, require, require_array, require_same_twice
+from toolkit.conformance.scene import blank_crop, crops
+from toolkit.types import Crop
+
+
+def rows_are_float32_of_unit_length(subject: Subject) -> str:
+    """(N, d) float32 rows whose inner product is a similarity."""
+    descriptor = subject.make()
+    given = _crops(descriptor)
+    rows = require_array(descriptor.describe(given), (len(given), None), np.float32, "describe()'s rows")
+    lengths = np.linalg.norm(rows, axis=1)
+    require(
+        np.allclose(lengths, 1, atol=1e-4), f"rows must have length 1, got {lengths.min():.4f} to {lengths.max():.4f}"
+    )
+    return f"{rows.shape[1]} dimensions"
+
+
+def a_batch_gives_what_single_crops_give(subject: Subject) -> None:
+    """A row depends on its own crop alone."""
+    descriptor = subject.make()
+    given = _crops(descriptor)
+    together = descriptor.describe(given)
+    alone = np.concatenate([descriptor.describe([crop]) for crop in given])
+    off = float(np.abs(together - alone).max())
+    require(off <= 1e-5, f"rows of a batch and of single crops differ by up to {off:.2g}")
+
+
+def objects_are_told_apart(subject: Subject) -> None:
+    """A crop, slightly darker, is nearest to one of the same box."""
+    descriptor = subject.make()
+    given = _crops(descriptor)
+    darker = [Crop((c.image * 0.95).astype(np.uint8), c.mask, c.scale, c.origin_xy) for c in given]
+    nearest = (descriptor.describe(darker) @ descriptor.describe(given).T).argmax(axis=1)
+    wrong = int((nearest % 3 != np.arange(len(given)) % 3).sum())  # three boxes, two frames
+    require(wrong == 0, f"{wrong} of {len(given)} crops, made 5 % darker, are nearest to another box")
+
+
+def a_blank_crop_is_described(subject: Subject) -> None:
+    """A black crop with one pixel of mask gives a finite row."""
+    descriptor = subject.make()
+    require(
+        np.isfinite(descriptor.describe([blank_crop(descriptor.crop_size)])).all(), "a blank crop's row is not finite"
+    )
+
+
+def the_same_input_gives_the_same_bytes(subject: Subject) -> None:
+    """New instances agree, whatever the global random generators are at."""
+    require_same_twice(lambda: (made := subject.make()).describe(_crops(made)), "the rows")
+
+
+def _crops(descriptor: object) -> list[Crop]:
+    size = getattr(descriptor, "crop_size", None)
+    require(isinstance(size, int) and size > 0, f"crop_size must be a positive int, got {size!r}")
+    assert isinstance(size, int)
+    return crops(size)
+
+
+CHECKS: tuple[Check, ...] = (
+    rows_are_float32_of_unit_length,
+    a_batch_gives_what_single_crops_give,
+    objects_are_told_apart,
+    a_blank_crop_is_described,
+    the_same_input_gives_the_same_bytes,
+)
