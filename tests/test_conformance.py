@@ -23,7 +23,6 @@ from toolkit.types import Failure
 from toolkit.weights.cards import WeightCard
 
 ROOT = Path(__file__).parents[1]
-ORB = ROOT / "docs" / "examples" / "orb_matcher.py"
 
 
 def notes(plugin, **settings):

@@ -41,6 +41,7 @@ LAYERS = [
         "plane",
         "assignment",
         "results",
+        "comparisons",
         "completion",
         "pictures",
         "film",
@@ -51,7 +52,7 @@ LAYERS = [
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training", "conformance"},
+    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution"},
     {"pytest_plugin"},
     {"cli"},
 ]

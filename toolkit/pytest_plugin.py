@@ -6,6 +6,7 @@ Every pytest run of an environment that has the toolkit loads this file, so it i
 from __future__ import annotations
 
 import sys
+from functools import lru_cache
 from typing import Any
 
 
@@ -24,10 +25,18 @@ def pytest_runtest_setup(item: Any) -> None:
         return
     import pytest
 
+    lacking = _what_it_lacks(item.cls)
+    if lacking is not None:
+        pytest.skip(lacking)
+
+
+@lru_cache
+def _what_it_lacks(case: Any) -> str | None:
     from toolkit.conformance import Subject, make_ready
     from toolkit.errors import ToolkitError
 
     try:
-        make_ready(Subject(item.cls.plugin, item.cls.settings))
+        make_ready(Subject(case.plugin, case.settings))
     except ToolkitError as error:
-        pytest.skip(str(error))
+        return str(error)
+    return None

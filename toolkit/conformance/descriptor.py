@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.conformance.kit import Check, Subject, require, require_array, require_same_twice
+from toolkit.conformance.kit import Check, Subject, require, require_array, require_same_twice, same
 from toolkit.conformance.scene import blank_crop, crops
+from toolkit.stages import AdaptiveDescriptor
 from toolkit.types import Crop
 
 
@@ -49,6 +50,22 @@ def a_blank_crop_is_described(subject: Subject) -> None:
     )
 
 
+def what_it_learns_from_a_scene_keeps_rows_of_unit_length(subject: Subject) -> str:
+    """Where it adapts to a scene (`AdaptiveDescriptor`): unit rows, finite for a scene of one region, repeatable."""
+    descriptor = subject.make()
+    if not isinstance(descriptor, AdaptiveDescriptor):
+        return "does not adapt"
+    rows = descriptor.describe(_crops(descriptor))
+    boxes = np.arange(len(rows)) % 3
+    for given, instances in ((rows, boxes), (rows[:1], boxes[:1])):
+        adapted = descriptor.adapt(given, instances)(rows)
+        require_array(adapted, (len(rows), None), np.float32, "adapted rows")
+        lengths = np.linalg.norm(adapted, axis=1)
+        require(np.allclose(lengths, 1, atol=1e-4), f"adapted rows must have length 1, got {lengths.min():.4f}")
+        require(same(adapted, descriptor.adapt(given, instances)(rows)), "adapted rows differ between two runs")
+    return "adapts to the scene"
+
+
 def the_same_input_gives_the_same_bytes(subject: Subject) -> None:
     """New instances agree, whatever the global random generators are at."""
     require_same_twice(lambda: (made := subject.make()).describe(_crops(made)), "the rows")
@@ -66,5 +83,6 @@ CHECKS: tuple[Check, ...] = (
     a_batch_gives_what_single_crops_give,
     objects_are_told_apart,
     a_blank_crop_is_described,
+    what_it_learns_from_a_scene_keeps_rows_of_unit_length,
     the_same_input_gives_the_same_bytes,
 )

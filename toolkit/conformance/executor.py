@@ -96,7 +96,8 @@ def the_same_input_gives_the_same_bytes(subject: Subject) -> None:
 
 @lru_cache
 def _task() -> TabletopScene:
-    config = TabletopConfig(scenes=1, min_objects=2, max_objects=2, views=2, seed=1, renderer="tiny", supersample=1)
+    small = {"scenes": 1, "min_objects": 2, "max_objects": 2, "views": 2, "renderer": "tiny", "supersample": 1}
+    config = TabletopConfig.model_validate({**small, "seed": 1})
     return draw_scene(config, load_object_set("procedural", cache_root()), 0, cache_root())
 
 

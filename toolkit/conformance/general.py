@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 from toolkit.conformance.kit import Check, Subject, require
 from toolkit.errors import ToolkitError
@@ -12,7 +13,7 @@ from toolkit.weights.cards import CARDS, WeightCard
 
 def it_says_what_it_is(subject: Subject) -> str:
     """Stage, name, version and a docstring, which `toolkit list` shows."""
-    plugin = subject.plugin
+    plugin: Any = subject.plugin
     require(re.fullmatch(r"[a-z0-9_]+", plugin.name), f"its name, '{plugin.name}', must be of a-z, 0-9 and _")
     require(isinstance(plugin.version, str) and plugin.version, "its version must be a string that is not empty")
     require((plugin.__doc__ or "").strip(), "its class has no docstring, which `toolkit list` would show")
@@ -21,7 +22,7 @@ def it_says_what_it_is(subject: Subject) -> str:
 
 def settings_are_frozen_and_described(subject: Subject) -> str:
     """Config is a PluginConfig, whose fields all have a description and whose unknown keys are refused."""
-    config = subject.plugin.Config
+    config: Any = subject.plugin.Config
     require(issubclass(config, PluginConfig), "its Config must be a toolkit.registry.PluginConfig")
     require(config.model_config.get("frozen"), "its Config must be frozen")
     require(config.model_config.get("extra") == "forbid", "its Config must refuse unknown keys (extra='forbid')")

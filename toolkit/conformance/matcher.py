@@ -82,7 +82,7 @@ def _crops(matcher: Any) -> list[Crop]:
     return crops(size)
 
 
-def _match(subject: Subject) -> tuple[list[Crop], list[Matches]]:
+def _match(subject: Subject) -> tuple[list[Crop], Any]:
     """The first crop matched to all, itself the first."""
     matcher = subject.make()
     given = _crops(matcher)

@@ -44,7 +44,7 @@ def the_answer_is_the_first_of_its_equivalents(subject: Subject) -> None:
     for object_id in _OBJECTS:
         answer = subject.make().refine(refine_task(object_id, _true_start(object_id)))
         if isinstance(answer, Refined):
-            shape = answer.equivalents.shape
+            shape = np.shape(answer.equivalents)
             require(len(shape) == 3 and shape[1:] == (4, 4), f"equivalents must be (E, 4, 4), got {shape}")
             require(
                 np.allclose(answer.equivalents[0], answer.T_goal_current), "the first equivalent must be the motion"
