@@ -84,11 +84,15 @@ def test_what_is_not_shown_is_said_with_what_would_show_it():
     (comparison,) = compare_cells(rows)
     assert not comparison.shown
     said = re.fullmatch(
-        r"no difference shown; one of (\d+) points would have been; "
+        r"no difference shown; one of (\d+) points most likely would have been; "
         r"if the 4\.2 points seen are real, about (\d+) scenes show it",
         comparison.verdict,
     )
     assert said and int(said[1]) > 4 and int(said[2]) > 8
+    small = make_rows("a", 1.0, scenes=2) + make_rows("b", 0.4, scenes=2)
+    (few,) = compare_cells(small)
+    assert not few.shown and "most likely" in few.verdict
+    assert int(re.search(r"about (\d+) scenes", few.verdict)[1]) > 2
     (same,) = compare_cells(make_rows("a", 0.9) + make_rows("b", 0.9))
     assert same.verdict == "the same on every object" and same.p == 1
     (single,) = compare_cells(make_rows("a", 1.0, scenes=1) + make_rows("b", 0.0, scenes=1))

@@ -11,6 +11,7 @@ from toolkit.stats import (
     bootstrap_interval,
     holm,
     mcnemar,
+    objects_for_mcnemar,
     paired_difference,
     resolvable_difference,
     scenes_to_resolve,
@@ -106,6 +107,20 @@ def test_as_many_scenes_as_are_needed_find_the_difference_as_often_as_promised()
         low, _ = paired_difference(a.astype(float), b.astype(float), scene, resamples=500, seed=trial).interval
         found += low > 0
     assert 0.74 <= found / 400 <= 0.86
+
+
+def test_as_many_objects_as_mcnemar_needs_find_the_difference_as_often_as_promised():
+    rng = np.random.default_rng(1)
+    difference, discordant = 0.15, 0.35
+    needed = int(objects_for_mcnemar(difference, discordant))
+    only_a = (discordant + difference) / 2
+    found = 0
+    for _ in range(1000):
+        draw = rng.random(needed)
+        a, b = draw < only_a, (draw >= only_a) & (draw < discordant)
+        found += mcnemar(a.tolist(), b.tolist()) < 0.05
+    assert 0.73 <= found / 1000 <= 0.86  # the exact test is a little conservative
+    assert objects_for_mcnemar(0.0, 0.3) == np.inf
 
 
 def test_scenes_to_resolve_matches_statsmodels():

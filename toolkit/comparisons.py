@@ -16,6 +16,7 @@ from toolkit.stats import (
     PairedDifference,
     holm,
     mcnemar,
+    objects_for_mcnemar,
     paired_difference,
     resolvable_difference,
     scenes_to_resolve,
@@ -41,6 +42,8 @@ class Comparison:
         against: the cell it is compared with: the best one, or AS_IT_IS where that is among them.
         success: difference in success (5 deg, 2 cm, symmetry-aware), -1..1; below 0 where the cell is worse.
         completion: difference in scenes of which every object is right.
+        objects: how many both cells have.
+        discordant: share of them on which the cells disagree.
         p: McNemar's exact p-value of success, adjusted for all comparisons of the run (Holm).
         comparisons: how many those are.
     """
@@ -49,6 +52,8 @@ class Comparison:
     against: str
     success: PairedDifference
     completion: PairedDifference
+    objects: int
+    discordant: float
     p: float
     comparisons: int
 
@@ -66,17 +71,34 @@ class Comparison:
             return f"{abs(100 * seen.mean):.1f} points {'worse' if seen.mean < 0 else 'better'}"
         if seen.scenes == 1:
             return "one scene shows nothing"
-        if seen.deviation == 0:
+        if self.discordant == 0:
             return "the same on every object"
-        alpha = _ALPHA / self.comparisons
-        visible = 100 * resolvable_difference(seen.scenes, seen.deviation, alpha)
-        said = f"no difference shown; one of {visible:.0f} points would have been"
-        needed = scenes_to_resolve(seen.mean, seen.deviation, alpha)
+        said, points_seen, visible = "no difference shown", 100 * abs(seen.mean), 100 * self._visible
+        if points_seen < visible:
+            said += f"; one of {visible:.0f} points most likely would have been"
+        needed = self._needed
         if needed > _MANY_SCENES:
             return said
-        return (
-            f"{said}; if the {abs(100 * seen.mean):.1f} points seen are real, about {_rounded(needed)} scenes show it"
-        )
+        return f"{said}; if the {points_seen:.1f} points seen are real, about {_rounded(needed)} scenes show it"
+
+    @property
+    def _alpha(self) -> float:
+        """What a p-value before adjustment must be below, at worst."""
+        return _ALPHA / self.comparisons
+
+    @property
+    def _visible(self) -> float:
+        """The smallest difference that interval and p-value most likely show, 0..1."""
+        scenes, a = self.success.scenes, self._alpha
+        by_objects = resolvable_difference(self.objects, float(np.sqrt(self.discordant)), a)
+        return min(1.0, max(resolvable_difference(scenes, self.success.deviation, a), by_objects))
+
+    @property
+    def _needed(self) -> float:
+        """How many scenes would show the difference that was seen, by interval and by p-value; more than there were."""
+        seen, a = self.success, self._alpha
+        by_objects = objects_for_mcnemar(seen.mean, self.discordant, a) * seen.scenes / self.objects
+        return max(scenes_to_resolve(seen.mean, seen.deviation, a), by_objects, seen.scenes + 1)
 
 
 def compare_cells(rows: Sequence[Row]) -> list[Comparison]:
@@ -103,7 +125,9 @@ def compare_cells(rows: Sequence[Row]) -> list[Comparison]:
                 success = paired_difference(mine, other, scenes)
                 completion = paired_difference(*_by_scene(mine, other, scenes))
                 p = adjusted[data, *sorted((cell, against))]
-                comparisons.append(Comparison(cell, against, success, completion, p, len(tests)))
+                discordant = float(np.mean(np.array(mine) != np.array(other)))
+                found = Comparison(cell, against, success, completion, len(mine), discordant, p, len(tests))
+                comparisons.append(found)
     return comparisons
 
 

@@ -134,6 +134,24 @@ def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
+def objects_for_mcnemar(difference: float, discordant: float, alpha: float = 0.05, power: float = 0.8) -> float:
+    """How many objects McNemar's test needs to find a difference (Connor, Biometrics 1987).
+
+    Args:
+        difference: of the two cells' success, -1..1.
+        discordant: share of objects on which they disagree, at least as large.
+        alpha: chance of claiming a difference where there is none, two-sided.
+        power: chance of finding it.
+
+    Returns:
+        A whole number, or infinity where the difference is 0.
+    """
+    if difference == 0:
+        return np.inf
+    spread = norm.ppf(1 - alpha / 2) * np.sqrt(discordant) + norm.ppf(power) * np.sqrt(discordant - difference**2)
+    return float(np.ceil((spread / difference) ** 2))
+
+
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's step-down adjustment of p-values for several comparisons (Holm, Scand. J. Statistics 1979)."""
     order = np.argsort(p_values)

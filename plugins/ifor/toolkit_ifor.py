@@ -21,7 +21,9 @@ class IforConfig(PluginConfig):
     """Settings of `ifor`."""
 
     crop_size: int = Field(160, ge=64, description="Side of the crops, pixels.")
-    starts: int = Field(4, ge=1, description="In-plane turns that the iteration starts from, evenly spaced.")
+    starts: int = Field(
+        1, ge=1, description="In-plane turns that the iteration starts from, evenly spaced; 1: objects stay upright."
+    )
     iterations: int = Field(4, ge=1, description="Rounds of flow and alignment from every start.")
     consistent_px: float = Field(1.5, gt=0, description="Flow there and back may miss a pixel by this.")
     step_px: int = Field(3, ge=1, description="One correspondence every so many pixels, either way.")
@@ -48,7 +50,7 @@ class Alignment:
 class Ifor(Plugin):
     """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time and without weights.
 
-    From each of a few in-plane turns: warp the reference by the transform so far, compute dense flow (DIS; Kroeger et
+    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS; Kroeger et
     al., ECCV 2016; IFOR trains RAFT), fit a similarity transform to it, again. The start whose crops agree best is
     kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
     """

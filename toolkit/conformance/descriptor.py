@@ -53,9 +53,9 @@ def a_blank_crop_is_described(subject: Subject) -> None:
 def what_it_learns_from_a_scene_keeps_rows_of_unit_length(subject: Subject) -> str:
     """Where it adapts to a scene (`AdaptiveDescriptor`): unit rows, finite for a scene of one region, repeatable."""
     descriptor = subject.make()
+    rows = descriptor.describe(_crops(descriptor))
     if not isinstance(descriptor, AdaptiveDescriptor):
         return "does not adapt"
-    rows = descriptor.describe(_crops(descriptor))
     boxes = np.arange(len(rows)) % 3
     for given, instances in ((rows, boxes), (rows[:1], boxes[:1])):
         adapted = descriptor.adapt(given, instances)(rows)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolkit.conformance.kit import Check, Subject, require, require_same_twice
+from toolkit.conformance.kit import Check, Subject, require, require_array, require_same_twice
 from toolkit.conformance.scene import goal_frame, refine_task, true_motion
 from toolkit.fusion import RefineTask, Start
 from toolkit.geometry import invert, rotation_angle, transform_points
@@ -44,8 +44,7 @@ def the_answer_is_the_first_of_its_equivalents(subject: Subject) -> None:
     for object_id in _OBJECTS:
         answer = subject.make().refine(refine_task(object_id, _true_start(object_id)))
         if isinstance(answer, Refined):
-            shape = np.shape(answer.equivalents)
-            require(len(shape) == 3 and shape[1:] == (4, 4), f"equivalents must be (E, 4, 4), got {shape}")
+            require_array(answer.equivalents, (None, 4, 4), np.float64, "the equivalents")
             require(
                 np.allclose(answer.equivalents[0], answer.T_goal_current), "the first equivalent must be the motion"
             )

@@ -29,7 +29,7 @@ def test_a_turned_disc_is_matched_where_it_turned_to(degrees):
     turned = cv2.warpAffine(image, A, (160, 160))
     turned_mask = cv2.warpAffine(mask.astype(np.uint8), A, (160, 160), flags=cv2.INTER_NEAREST) > 0
     crops = [Crop(np.ascontiguousarray(i), m, 1.0, np.zeros(2)) for i, m in ((image, mask), (turned, turned_mask))]
-    ifor = Ifor(IforConfig())
+    ifor = Ifor(IforConfig(starts=4))
     query, reference = ifor.extract(crops)
     (matches,) = ifor.match(query, [reference])
     assert len(matches) > 200
