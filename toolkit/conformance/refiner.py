@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from toolkit.conformance.kit import Check, Subject, require, require_array, require_same_twice
-from toolkit.conformance.scene import goal_frame, refine_task, true_motion
+from toolkit.conformance.raycast import HEIGHT, WIDTH
+from toolkit.conformance.scene import refine_task, true_motion
 from toolkit.fusion import RefineTask, Start
 from toolkit.geometry import invert, rotation_angle, transform_points
 from toolkit.types import Failure, Float, Refined, Segment
@@ -55,8 +56,8 @@ def the_answer_is_the_first_of_its_equivalents(subject: Subject) -> None:
 
 def one_pixel_is_no_crash(subject: Subject) -> None:
     """An object of which the goal image shows one pixel."""
-    mask = np.zeros(goal_frame().rgb.shape[:2], bool)
-    mask[mask.shape[0] // 2, mask.shape[1] // 2] = True
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[HEIGHT // 2, WIDTH // 2] = True
     task = replace(refine_task(1), segment=Segment(mask))
     _require_answer(subject.make().refine(task))
 
