@@ -50,9 +50,9 @@ class Alignment:
 class Ifor(Plugin):
     """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time and without weights.
 
-    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS; Kroeger et
-    al., ECCV 2016; IFOR trains RAFT), fit a similarity transform to it, again. The start whose crops agree best is
-    kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
+    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS;
+    Kroeger et al., ECCV 2016; IFOR trains RAFT), fit a similarity transform to it, again. The start whose crops agree
+    best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
     """
 
     stage = "matcher"
