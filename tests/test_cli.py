@@ -44,6 +44,10 @@ MISTAKES = {
     "no such run": (["report", "nowhere"], "is not a run folder"),
     "unknown stage": (["list", "matchr"], "did you mean 'matcher'?"),
     "unknown implementation": (["show", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "a sweep to attribute": (["ablate", "quick", "--attribute"], "attribution takes one setting"),
+    "a new plugin for no stage": (["plugin", "new", "matchr", "mine"], "did you mean 'matcher'?"),
+    "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
+    "a check of nothing": (["check", "matcher", "lofter"], "did you mean 'loftr'?"),
     "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
 }
 

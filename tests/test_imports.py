@@ -41,6 +41,7 @@ LAYERS = [
         "plane",
         "assignment",
         "results",
+        "comparisons",
         "completion",
         "pictures",
         "film",
@@ -51,7 +52,8 @@ LAYERS = [
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training"},
+    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution"},
+    {"pytest_plugin"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import raycast
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raycast import NOW, THEN, camera, shoot
 from scipy.spatial.transform import Rotation
 
+from toolkit.conformance import raycast
+from toolkit.conformance.raycast import NOW, THEN, camera, shoot
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, look_at, make_transform, project, transform_points
 from toolkit.registration.adjust import adjust

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from toolkit.comparisons import compare_cells, print_comparisons
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.pictures import overlay
 from toolkit.report import write_report
-from toolkit.report.page import _compare
 from toolkit.results import Row, print_table, read_rows, summarize, write_rows
+from toolkit.stats import holm, mcnemar
 
 
 def make_rows(cell, share, dataset="a", scenes=20, **fields):
@@ -63,10 +64,55 @@ def test_a_run_without_rows_is_said_to_be_so(tmp_path):
 
 def test_cells_are_compared_on_the_same_scenes_only():
     rows = make_rows("a1", 0.9) + make_rows("a2", 0.5) + make_rows("b1", 0.3, dataset="b")
-    (comparison,) = _compare(rows)
-    assert (comparison.cell, comparison.best) == ("a2", "a1")
-    assert comparison.difference == pytest.approx(-0.4)
-    assert comparison.p < 1e-5 and "worse" in comparison.verdict
+    (comparison,) = compare_cells(rows)
+    assert (comparison.cell, comparison.against) == ("a2", "a1")
+    assert comparison.success.mean == pytest.approx(-0.4)
+    assert comparison.p < 1e-5 and comparison.verdict == "40.0 points worse"
+
+
+def test_p_values_are_adjusted_for_all_pairs_of_the_sweep():
+    three = make_rows("a", 0.9) + make_rows("b", 0.7) + make_rows("c", 0.6)
+    success = {cell: [row.success_sym for row in three if row.cell == cell] for cell in "abc"}
+    raw = [mcnemar(success[x], success[y]) for x, y in ("ab", "ac", "bc")]
+    found = compare_cells(three)
+    assert [c.p for c in found] == holm(raw)[:2]
+    assert {c.comparisons for c in found} == {3}
+
+
+def test_what_is_not_shown_is_said_with_what_would_show_it():
+    rows = make_rows("a", 0.9, scenes=8) + make_rows("b", 0.85, scenes=8)
+    (comparison,) = compare_cells(rows)
+    assert not comparison.shown
+    said = re.fullmatch(
+        r"no difference shown; one of (\d+) points most likely would have been; "
+        r"if the 4\.2 points seen are real, about (\d+) scenes show it",
+        comparison.verdict,
+    )
+    assert said and int(said[1]) > 4 and int(said[2]) > 8
+    small = make_rows("a", 1.0, scenes=2) + make_rows("b", 0.4, scenes=2)
+    (few,) = compare_cells(small)
+    assert not few.shown and "most likely" in few.verdict
+    assert int(re.search(r"about (\d+) scenes", few.verdict)[1]) > 2
+    (same,) = compare_cells(make_rows("a", 0.9) + make_rows("b", 0.9))
+    assert same.verdict == "the same on every object" and same.p == 1
+    (single,) = compare_cells(make_rows("a", 1.0, scenes=1) + make_rows("b", 0.0, scenes=1))
+    assert single.verdict == "one scene shows nothing"
+
+
+def test_completion_is_compared_by_scene():
+    a, b = make_rows("a", 0.9), make_rows("b", 0.5)
+    (comparison,) = compare_cells(a + b)
+    done = [np.mean([all(r.success_sym for r in c[i : i + 3]) for i in range(0, 60, 3)]) for c in (a, b)]
+    assert comparison.completion.mean == pytest.approx(done[1] - done[0])
+
+
+def test_the_comparison_is_printed_under_the_table():
+    console = Console(width=140, record=True, file=io.StringIO())
+    print_comparisons(compare_cells(make_rows("best", 0.9) + make_rows("views=1", 0.5)), console)
+    text = console.export_text()
+    assert "views=1" in text and "-40.0 [" in text and "40.0 points worse" in text
+    print_comparisons([], console)
+    assert not console.export_text()
 
 
 def test_rows_survive_their_file(tmp_path):

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-import raycast
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raycast import HEIGHT, NOW, THEN, WIDTH, Box, camera, shoot
 
+from toolkit.conformance import raycast
+from toolkit.conformance.raycast import HEIGHT, NOW, THEN, WIDTH, Box, camera, shoot
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, transform_points
 from toolkit.plane import fit_plane, pixel_rays

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from toolkit.types import Float, Mask
+from toolkit.database import Database
+from toolkit.errors import ToolkitError
+from toolkit.types import Float, Frame, Mask, Segment
 
 _BEST_VIEWS = 3
 """An instance is as similar as its three most similar regions: one alone may be a chance, all would count its back."""
@@ -54,3 +59,30 @@ def assign_instances(scores: Float, verified: Float) -> NDArray[np.int64]:
 def restrict(ranking: NDArray[np.int64], instances: NDArray[np.int64], instance: int) -> NDArray[np.int64]:
     """The part of a ranking of regions that belongs to one instance; all of it for -1."""
     return ranking if instance < 0 else ranking[instances[ranking] == instance]
+
+
+def true_instances(database: Database, goal: Frame, segments: Sequence[Segment]) -> NDArray[np.int64]:
+    """The instance that shows each goal object most often, by the true masks of all images.
+
+    Returns:
+        (Q,) instances; -1 for a segment on no object, or on one that no region shows.
+
+    Raises:
+        ToolkitError: the goal image or a frame has no true masks.
+    """
+    shown: dict[int, Counter[int]] = {}
+    for row, region in enumerate(database.regions):
+        owner = _owner(database.frame_of(row), region.segment.mask)
+        shown.setdefault(owner, Counter())[int(database.instances[row])] += 1
+    owners = [_owner(goal, segment.mask) for segment in segments]
+    found = [shown[owner].most_common(1)[0][0] if owner >= 0 and owner in shown else -1 for owner in owners]
+    return np.array(found, np.int64)
+
+
+def _owner(frame: Frame, mask: Mask) -> int:
+    """The true object that a mask covers most of; -1 for none."""
+    if frame.true_masks is None:
+        raise ToolkitError(f"assignment truth needs true masks (mask_visib/), and frame {frame.index} has none")
+    overlaps = {key: int((true & mask).sum()) for key, true in sorted(frame.true_masks.items())}
+    owner = max(overlaps, key=overlaps.__getitem__, default=-1)
+    return owner if overlaps.get(owner, 0) > 0 else -1

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from toolkit.digests import crop_digest, digest, frame_digest, source_digest
 from toolkit.meter import Meter
 from toolkit.registry import Plugin
-from toolkit.stages import Descriptor, Matcher, Segmenter
+from toolkit.stages import AdaptiveDescriptor, Descriptor, Matcher, Segmenter
 from toolkit.types import Crop, Float, Frame, Matches, Segment
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -163,6 +163,8 @@ class CachedDescriptor(_CachedStage):
         super().__init__(plugin, cache, meter)
         self._descriptor = descriptor
         self.crop_size = descriptor.crop_size
+        if isinstance(descriptor, AdaptiveDescriptor):
+            self.adapt = descriptor.adapt  # as quick to do again as to look up
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         keys = [self._key(crop_digest(crop)) for crop in crops]

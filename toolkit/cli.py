@@ -31,6 +31,8 @@ dataset_app = typer.Typer(help="Make or inspect a benchmark.", no_args_is_help=T
 app.add_typer(dataset_app, name="dataset")
 weights_app = typer.Typer(help="Checkpoints of the learned stages.", no_args_is_help=True)
 app.add_typer(weights_app, name="weights")
+plugin_app = typer.Typer(help="Implementations of your own.", no_args_is_help=True)
+app.add_typer(plugin_app, name="plugin")
 
 ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
@@ -105,6 +107,9 @@ def ablate(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
     cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
+    attribute: Annotated[
+        bool, typer.Option("--attribute", help="Put the truth in the place of one stage at a time: what each costs.")
+    ] = False,
     *,
     choices: dict[str, Any],
 ) -> None:
@@ -112,8 +117,10 @@ def ablate(
     from rich.console import Console
 
     from toolkit.ablate import RunOptions, run_experiment
+    from toolkit.attribution import attribution
+    from toolkit.comparisons import print_results
     from toolkit.progress import Progress
-    from toolkit.results import print_table, read_rows, summarize
+    from toolkit.results import read_rows
     from toolkit.runs import ROWS
 
     _set_dataset(choices, objects=objects, scenes=scenes)
@@ -127,8 +134,9 @@ def ablate(
         use_cache=cache,
         plugin_files=tuple(choices["plugin"]),
     )
-    run = run_experiment(read_experiment(experiment, choices), options, Progress(Console(stderr=True)))
-    print_table(summarize(read_rows(run / ROWS)), console)
+    loaded = read_experiment(experiment, choices)
+    run = run_experiment(attribution(loaded) if attribute else loaded, options, Progress(Console(stderr=True)))
+    print_results(read_rows(run / ROWS), console)
     console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
 
 
@@ -226,9 +234,10 @@ def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
     """Print a run's table again and write its report.html anew."""
     from rich.console import Console
 
+    from toolkit.comparisons import print_results
     from toolkit.completion import MoveRow, print_completion, summarize_completion
     from toolkit.report import write_completion_report, write_report
-    from toolkit.results import print_table, read_rows, read_rows_as, summarize
+    from toolkit.results import read_rows, read_rows_as
     from toolkit.runs import ROWS, rearranges
 
     if not (run / ROWS).is_file():
@@ -238,7 +247,7 @@ def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
         print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
         page = write_completion_report(run)
     else:
-        print_table(summarize(read_rows(run / ROWS)), console)
+        print_results(read_rows(run / ROWS), console)
         page = write_report(run)
     console.print(f"\nReport: {page}", highlight=False, soft_wrap=True)
 
@@ -276,6 +285,40 @@ def show(
         table.add_row(key, default, info.description or "")
     if plugin.Config.model_fields:
         console.print(table)
+
+
+@app.command()
+def check(
+    stage: Annotated[str, typer.Argument(help="A stage, e.g. matcher.")],
+    name: Annotated[str, typer.Argument(help="An implementation, e.g. sift.")],
+    plugin: Annotated[list[Path], typer.Option("--plugin", help="A plugin file that is not installed.")] = [],  # noqa: B006
+    settings: Annotated[list[str], typer.Option("--set", help="key=value of its settings.")] = [],  # noqa: B006
+) -> None:
+    """Check that an implementation does what its stage asks; exit code 1 where it does not."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from toolkit.conformance import check_plugin
+    from toolkit.experiment import parse_set, register_plugin_file
+
+    for file in plugin:
+        register_plugin_file(file)
+    (registry,) = _registries(stage)
+    chosen = {key: values[0] for key, values in map(parse_set, settings)}
+    outcomes = check_plugin(registry.get(name), chosen)
+    table = Table("check", "", "time", "memory", "remark", box=None, pad_edge=False)
+    for outcome in outcomes:
+        mark = "[green]passed[/green]" if outcome.passed else "[red]failed[/red]"
+        memory = f"+{outcome.grown_mb:.0f} MB" if outcome.grown_mb >= 1 else ""
+        table.add_row(outcome.check, mark, f"{outcome.seconds:.2f} s", memory, escape(outcome.note))
+    Console().print(table)
+    failed = [outcome for outcome in outcomes if not outcome.passed]
+    if failed:
+        raise CheckFailedError(
+            f"{stage} '{name}' fails {len(failed)} of {len(outcomes)} checks; {failed[0].check}: {failed[0].note}"
+        )
+    Console().print(f"{stage} '{name}' passes all {len(outcomes)} checks", highlight=False)
 
 
 @app.command()
@@ -347,6 +390,24 @@ def dataset_show(dataset: Annotated[Path, typer.Argument(help="A folder of captu
     for line in describe(dataset):
         console.print(line, highlight=False)
     console.print(f"Picture: {contact_sheet(dataset)}", highlight=False, soft_wrap=True)
+
+
+@plugin_app.command("new")
+def plugin_new(
+    stage: Annotated[str, typer.Argument(help="A stage, e.g. matcher.")],
+    name: Annotated[str, typer.Argument(help="The new implementation's name.")],
+    out: OutOption = None,
+) -> None:
+    """Write a small installable plugin that works as it stands: a module, a test, a README, a pyproject.toml."""
+    from rich.console import Console
+
+    from toolkit.scaffold import new_plugin
+
+    folder = new_plugin(stage, name, out)
+    console = Console()
+    console.print(f"Written: {folder}", highlight=False, soft_wrap=True)
+    file = folder / f"toolkit_{name}.py"
+    console.print(f"Next: toolkit check {stage} {name} --plugin {file}", highlight=False, soft_wrap=True)
 
 
 @weights_app.command("list")
@@ -435,6 +496,10 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+class CheckFailedError(Exception):
+    """A plugin fails a check."""
+
+
 class _Stopped(BaseException):
     """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
 
@@ -451,6 +516,9 @@ def main() -> None:
     except ToolkitError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
+    except CheckFailedError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(1)
     except _Stopped:
         sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
         sys.exit(130)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from toolkit.assignment import assign_instances, contenders, instance_similarity, restrict
+from toolkit.assignment import assign_instances, contenders, instance_similarity, restrict, true_instances
 from toolkit.crops import crop_region
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
@@ -18,7 +18,18 @@ from toolkit.lifting import lift_matches, merge
 from toolkit.meter import Meter
 from toolkit.regions import lift_segment
 from toolkit.registry import PluginConfig
-from toolkit.stages import Associator, Descriptor, Index, Matcher, PnP, Refiner, Registration, Retriever, Segmenter
+from toolkit.stages import (
+    AdaptiveDescriptor,
+    Associator,
+    Descriptor,
+    Index,
+    Matcher,
+    PnP,
+    Refiner,
+    Registration,
+    Retriever,
+    Segmenter,
+)
 from toolkit.types import (
     Capture,
     Correspondences,
@@ -44,9 +55,10 @@ class PipelineSettings(PluginConfig):
         description="Solve from all accepted candidates of the instance, or from the first accepted (the paper).",
     )
     min_matches: int = Field(default=6, ge=3, description="Lifted matches a candidate needs to be accepted.")
-    assignment: Literal["vote", "global"] = Field(
+    assignment: Literal["vote", "global", "truth"] = Field(
         default="vote",
-        description="Goal objects choose their instance on their own (the paper), or each instance is given once.",
+        description="Goal objects choose their instance on their own (the paper), each instance is given once, or "
+        "every object gets its true one (to measure what retrieval costs).",
     )
     crop_margin: float = Field(default=0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
 
@@ -160,6 +172,7 @@ class Pipeline:
                 size = self.stages.descriptor.crop_size
                 margin = self.settings.crop_margin
                 queries = self.stages.descriptor.describe([crop_region(goal.rgb, s, size, margin) for s in segments])
+                database, queries = self._adapt(database, queries)
             with self.meter.stage("index"):
                 self.stages.index.build(database.descriptors)
                 rankings = list(self.stages.index.search(queries, len(database))[1])
@@ -167,6 +180,9 @@ class Pipeline:
         if queries is not None and self.settings.assignment == "global":
             scores = instance_similarity(queries @ database.descriptors.T, database.instances)
             chosen = assign_instances(scores, self._verify(goal, segments, scores, models))
+            rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
+        elif rankings and self.settings.assignment == "truth":
+            chosen = true_instances(database, goal, segments)
             rankings = [restrict(r, database.instances, int(i)) for r, i in zip(rankings, chosen, strict=True)]
         shared_ms, shared_cached = self.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
@@ -208,6 +224,14 @@ class Pipeline:
                 best = estimate
         assert best is not None
         return replace(best, matcher_calls=search.matcher_calls)
+
+    def _adapt(self, database: Database, queries: Float) -> tuple[Database, Float]:
+        """Database and queries as the descriptor sees them once it has learnt from the scene, where it can."""
+        descriptor = self.stages.descriptor
+        if not isinstance(descriptor, AdaptiveDescriptor):
+            return database, queries
+        adaptation = descriptor.adapt(database.descriptors, database.instances)
+        return replace(database, descriptors=adaptation(database.descriptors)), adaptation(queries)
 
     def _verify(self, goal: Frame, segments: Sequence[Segment], scores: Float, models: Models) -> Float:
         """(Q, K) how well instances that contend for a goal object agree with it, by the refiner; NaN elsewhere."""

@@ -9,12 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from rapidfuzz import process
 
 from toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from toolkit.weights.cards import WeightCard
 
 
 class PluginConfig(BaseModel):
@@ -31,12 +34,14 @@ class Plugin:
         name: how users choose it.
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
         Config: its settings.
+        cards: cards of its checkpoints that the toolkit does not know; they state the licence.
     """
 
     stage: ClassVar[str]
     name: ClassVar[str]
     version: ClassVar[str] = "1"
     Config: ClassVar[type[PluginConfig]] = PluginConfig
+    cards: ClassVar[tuple[WeightCard, ...]] = ()
 
     def __init__(self, config: PluginConfig | None = None) -> None:
         self.config = config if config is not None else self.Config()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,22 @@ class Descriptor(Protocol):
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, d) float32 rows of unit length, for N >= 1 crops."""
+        ...
+
+
+Adaptation = Callable[[Float], Float]
+"""Takes (N, d) descriptor rows to (N, d') float32 rows of unit length."""
+
+
+@runtime_checkable
+class AdaptiveDescriptor(Protocol):
+    """What a Descriptor may offer besides: to learn from the scene at hand."""
+
+    def adapt(self, rows: Float, instances: NDArray[np.int64]) -> Adaptation:
+        """Learn from the database's (R, d) rows and their (R,) instances; the same input gives the same map.
+
+        The map is applied to the database and to goal objects alike, before they are compared.
+        """
         ...
 
 

@@ -53,7 +53,8 @@ class Antipodal(Plugin):
     def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
         """See Grasper."""
         c = self.config
-        surface = thin_out(np.asarray(request.points, np.float64), _SPACING_M)
+        points = np.asarray(request.points, np.float64)
+        surface = thin_out(points, _SPACING_M) if len(points) else points
         if len(surface) < _FEWEST_POINTS:
             return Failure("grasp", f"only {len(surface)} points of the object were seen")
         others = thin_out(request.others, _OTHERS_SPACING_M) if len(request.others) else request.others

@@ -16,27 +16,14 @@ import jinja2
 import numpy as np
 import yaml
 
+from toolkit.comparisons import compare_cells, points, remainder
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
 from toolkit.report.paper_figures import paper_medians
 from toolkit.report.plots import cell_colors, confidence_curves, error_curves, success_by, time_by_stage
 from toolkit.results import CellSummary, Estimate, Row, read_rows, summarize
-from toolkit.stats import holm, mcnemar, paired_difference
 
 _JPEG_QUALITY = 82
-
-
-@dataclass(frozen=True)
-class _Comparison:
-    """A cell against the best one on the same scenes, object by object."""
-
-    cell: str
-    best: str
-    difference: float
-    low: float
-    high: float
-    p: float
-    verdict: str
 
 
 @dataclass(frozen=True)
@@ -71,13 +58,15 @@ def write_report(run: Path) -> Path:
         confidences=confidence_curves(rows, colors),
         ambiguous=_ambiguous(rows),
         times=time_by_stage(summaries),
-        comparisons=_compare(rows),
+        comparisons=compare_cells(rows),
+        attribution=remainder(summaries),
         hardest=_hardest(rows, best.cell),
         failures=_failures(rows),
         cases=_cases(run),
         settings=_read(run / "experiment.resolved.yaml"),
         meta=json.loads(_read(run / "meta.json") or "{}"),
         show=_show,
+        points=points,
         number=_number,
         share=_show_share,
     )
@@ -112,33 +101,6 @@ def _headline(summaries: Sequence[CellSummary], best: CellSummary) -> str:
         return said + "."
     worst = min(summaries, key=lambda summary: summary.success_sym.value)
     return f"{said}; {worst.cell}, the least, {worst.success_sym.value:.0%}."
-
-
-def _compare(rows: Sequence[Row]) -> list[_Comparison]:
-    """Every cell against the best one on the same dataset; p-values adjusted for the number of comparisons."""
-    outcomes: dict[str, dict[str, dict[tuple[int, int], bool]]] = {}
-    for row in rows:
-        outcomes.setdefault(row.dataset, {}).setdefault(row.cell, {})[row.scene_id, row.object] = row.success_sym
-    pairs: list[tuple[str, str, list[bool], list[bool], list[int]]] = []
-    for cells in outcomes.values():
-        best = max(cells, key=lambda cell: float(np.mean(list(cells[cell].values()))))
-        for cell, own in cells.items():
-            keys = sorted(own.keys() & cells[best].keys())
-            if cell != best and keys:
-                of_best = [cells[best][key] for key in keys]
-                pairs.append((cell, best, [own[key] for key in keys], of_best, [scene for scene, _ in keys]))
-    adjusted = holm([mcnemar(own, of_best) for _, _, own, of_best, _ in pairs])
-    comparisons: list[_Comparison] = []
-    for (cell, best, own, of_best, scenes), p in zip(pairs, adjusted, strict=True):
-        difference, (low, high) = paired_difference([float(x) for x in own], [float(x) for x in of_best], scenes)
-        comparisons.append(_Comparison(cell, best, difference, low, high, p, _verdict(difference, low, high)))
-    return comparisons
-
-
-def _verdict(difference: float, low: float, high: float) -> str:
-    if low <= 0 <= high:
-        return "cannot be told apart from it on these scenes"
-    return f"{abs(difference) * 100:.0f} points {'worse' if difference < 0 else 'better'}"
 
 
 def _hardest(rows: Sequence[Row], cell: str, count: int = 10) -> list[tuple[str, int, int, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from toolkit.geometry import look_at
 from toolkit.plane import pixel_rays
-from toolkit.types import Camera, Frame
+from toolkit.types import Camera, Float, Frame
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Centre of the base (x, y, z) and size (x, y, z), metres."""
@@ -23,12 +23,12 @@ GRAIN = 1.0
 NOW: list[Box] = [
     ((-0.2, 0.0, 0), (0.08, 0.12, 0.1)),
     ((0.1, 0.1, 0), (0.2, 0.03, 0.01)),
-    ((0.15, -0.15, 0), (0.07,) * 3),
+    ((0.15, -0.15, 0), (0.07, 0.07, 0.07)),
 ]
 THEN: list[Box] = [
     ((0.2, 0.1, 0), (0.08, 0.12, 0.1)),
     ((-0.1, -0.1, 0), (0.2, 0.03, 0.01)),
-    ((-0.1, 0.1, 0), (0.07,) * 3),
+    ((-0.1, 0.1, 0), (0.07, 0.07, 0.07)),
 ]
 
 
@@ -39,8 +39,25 @@ def camera(azimuth_deg: float) -> Camera:
     return Camera(K, look_at(eye, np.zeros(3)), WIDTH, HEIGHT)
 
 
-def shoot(index: int, view: Camera, boxes: Sequence[Box], noise: float = 0.0, *, depth: bool = True) -> Frame:
-    """Ray-cast boxes on a textured table; beyond its edge is grey, without depth."""
+def shoot(
+    index: int,
+    view: Camera,
+    boxes: Sequence[Box],
+    noise: float = 0.0,
+    *,
+    depth: bool = True,
+    print_contrast: float = 0.0,
+) -> Frame:
+    """Ray-cast boxes on a textured table; beyond its edge is grey, without depth.
+
+    Args:
+        index: of the frame.
+        view: the camera.
+        boxes: object ids are 1, 2, ... in their order.
+        noise: relative noise of depth; with any, colours are noisy too.
+        depth: without it, the frame is like a goal image.
+        print_contrast: of a pattern on every side of the boxes, another one on each; 0..1.
+    """
     frame = Frame(index, np.zeros((HEIGHT, WIDTH, 3), np.uint8), view)
     T = view.T_world_camera
     rays = pixel_rays(frame).astype(np.float64) @ T[:3, :3].T
@@ -63,6 +80,7 @@ def shoot(index: int, view: Camera, boxes: Sequence[Box], noise: float = 0.0, *,
         owner[hit] = k
         side = np.minimum(a, b).argmax(axis=2)
         shade = np.array([0.75, 0.85, 1.0])[side]
+        shade = shade + print_contrast * (_pattern(eye + enter[..., None] * rays - base, k) - 0.5)
         rgb = np.where(hit[..., None], COLOURS[(k - 1) % len(COLOURS)] * shade[..., None], rgb)
     rng = np.random.default_rng(index)
     z = np.where(np.isfinite(nearest), nearest, 0)
@@ -71,3 +89,10 @@ def shoot(index: int, view: Camera, boxes: Sequence[Box], noise: float = 0.0, *,
         rgb = rgb + rng.normal(0, 2.5, rgb.shape)
     masks = {k: owner == k for k in range(1, len(boxes) + 1) if (owner == k).any()}
     return Frame(index, rgb.clip(0, 255).astype(np.uint8), view, z.astype(np.float32) if depth else None, masks)
+
+
+def _pattern(points: Float, number: int) -> Float:
+    """(H, W) 0..1: squares of 8 mm, drawn at random for every box, at (H, W, 3) points of its own coordinates."""
+    drawn = np.random.default_rng(number).random((16, 16, 16))
+    i, j, k = np.moveaxis(np.floor(points / 0.008 + 1e-6).astype(int) % 16, -1, 0)
+    return drawn[i, j, k]

@@ -1,0 +1,167 @@
+"""ifor: a matcher that minimises the optical flow between two crops, as IFOR does between current and goal view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Crop, Float, Image, Mask, Matches
+
+_FEWEST_PIXELS = 100
+"""Objects of fewer pixels have no flow."""
+
+
+class IforConfig(PluginConfig):
+    """Settings of `ifor`."""
+
+    crop_size: int = Field(160, ge=64, description="Side of the crops, pixels.")
+    starts: int = Field(
+        1, ge=1, description="In-plane turns that the iteration starts from, evenly spaced; 1: objects stay upright."
+    )
+    iterations: int = Field(4, ge=1, description="Rounds of flow and alignment from every start.")
+    consistent_px: float = Field(1.5, gt=0, description="Flow there and back may miss a pixel by this.")
+    step_px: int = Field(3, ge=1, description="One correspondence every so many pixels, either way.")
+    min_correlation: float = Field(0.3, ge=-1, le=1, description="Aligned crops that agree less do not match.")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """(S, S) uint8 grey image, its object's mean outside the object; (S, S) bool mask; (2,) mask centre (x, y)."""
+
+    gray: Image
+    mask: Mask
+    center: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A (2, 3) transform from query to reference pixels, and how well the crops then agree, -1..1."""
+
+    A: Float
+    correlation: float
+
+
+class Ifor(Plugin):
+    """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time and without weights.
+
+    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS;
+    Kroeger et al., ECCV 2016; IFOR trains RAFT), fit a similarity transform to it, again. The start whose crops agree
+    best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
+    """
+
+    stage = "matcher"
+    name = "ifor"
+    Config = IforConfig
+    config: IforConfig
+
+    @property
+    def crop_size(self) -> int:
+        """Side of the crops, pixels."""
+        return self.config.crop_size
+
+    def extract(self, crops: Sequence[Crop]) -> list[Picture]:
+        """Grey pictures of the objects alone."""
+        return [_picture(crop) for crop in crops]
+
+    def match(self, query: Picture, references: Sequence[Picture]) -> list[Matches]:
+        """Minimise the flow to each reference."""
+        dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+        return [self._match(dis, query, reference) for reference in references]
+
+    def _match(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture) -> Matches:
+        if min(int(query.mask.sum()), int(reference.mask.sum())) < _FEWEST_PIXELS:
+            return Matches.empty()
+        turns = 2 * np.pi * np.arange(self.config.starts) / self.config.starts
+        best = max((self._align(dis, query, reference, turn) for turn in turns), key=lambda found: found.correlation)
+        if best.correlation < self.config.min_correlation:
+            return Matches.empty()
+        return self._correspondences(dis, query, reference, best.A)
+
+    def _align(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture, turn: float) -> Alignment:
+        A = _turn_about(query.center, reference.center, turn)
+        best = Alignment(A, _correlation(query, *_warp(reference, A)))
+        y, x = (part[::3] for part in np.nonzero(query.mask))
+        for _ in range(self.config.iterations):
+            warped, mask = _warp(reference, A)
+            flow = dis.calc(query.gray, warped, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
+            there = np.stack([x, y], axis=1) + flow[y, x]
+            inside = _inside(mask, there)
+            if inside.sum() < _FEWEST_PIXELS // 4:
+                break
+            pixels = np.stack([x, y], axis=1)[inside].astype(np.float32)
+            fitted, _ = cv2.estimateAffinePartial2D(pixels, _apply(A, there[inside]).astype(np.float32))
+            if fitted is None or not 0.2 < abs(np.linalg.det(fitted[:, :2])) < 5:
+                break
+            A = np.asarray(fitted, np.float64)
+            found = Alignment(A, _correlation(query, *_warp(reference, A)))
+            best = max(best, found, key=lambda alignment: alignment.correlation)
+        return best
+
+    def _correspondences(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture, A: Float) -> Matches:
+        c = self.config
+        warped, mask = _warp(reference, A)
+        forth = dis.calc(query.gray, warped, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
+        back = dis.calc(warped, query.gray, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
+        y, x = np.nonzero(query.mask)
+        grid = (x % c.step_px == 0) & (y % c.step_px == 0)
+        xy = np.stack([x[grid], y[grid]], axis=1).astype(np.float64)
+        there = xy + forth[y[grid], x[grid]]
+        inside = _inside(mask, there)
+        xy, there = xy[inside], there[inside]
+        u, v = np.rint(there).astype(int).T
+        missed = np.linalg.norm(there + back[v, u] - xy, axis=1)
+        found = _apply(A, there)
+        keep = (missed <= c.consistent_px) & _inside(reference.mask, found)
+        return Matches(xy[keep], found[keep], np.exp(-missed[keep] / c.consistent_px).astype(np.float64))
+
+
+def _picture(crop: Crop) -> Picture:
+    gray = cv2.cvtColor(crop.image, cv2.COLOR_RGB2GRAY)
+    mean = int(gray[crop.mask].mean()) if crop.mask.any() else 0
+    y, x = np.nonzero(crop.mask)
+    return Picture(np.where(crop.mask, gray, mean).astype(np.uint8), crop.mask, np.array([x.mean(), y.mean()]))
+
+
+def _turn_about(center: Float, target: Float, turn: float) -> Float:
+    """(2, 3) that turns about `center` and takes it to `target`."""
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.concatenate([R, (target - R @ center)[:, None]], axis=1)
+
+
+def _warp(reference: Picture, A: Float) -> tuple[Image, Mask]:
+    """The reference seen in the query's pixels, and its mask there."""
+    size = reference.gray.shape[::-1]
+    outside = int(reference.gray[~reference.mask][0]) if not reference.mask.all() else 0
+    gray = cv2.warpAffine(reference.gray, A, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=outside)
+    mask = cv2.warpAffine(reference.mask.astype(np.uint8), A, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    return np.asarray(gray, np.uint8), mask > 0
+
+
+def _correlation(query: Picture, gray: Image, mask: Mask) -> float:
+    """Normalised correlation where both masks are, weighed by how far the masks overlap."""
+    both = query.mask & mask
+    if both.sum() < _FEWEST_PIXELS // 4:
+        return -1.0
+    a, b = query.gray[both].astype(np.float64), gray[both].astype(np.float64)
+    a, b = a - a.mean(), b - b.mean()
+    scale = np.linalg.norm(a) * np.linalg.norm(b)
+    return float(a @ b / max(scale, 1e-9) * both.sum() / (query.mask | mask).sum())
+
+
+def _apply(A: Float, xy: Float) -> Float:
+    return np.asarray(xy, np.float64) @ A[:, :2].T + A[:, 2]
+
+
+def _inside(mask: Mask, xy: Float) -> NDArray[np.bool_]:
+    """(N,) whether the pixels nearest to (N, 2) points belong to a mask."""
+    x, y = np.rint(xy).astype(int).T
+    seen = (x >= 0) & (x < mask.shape[1]) & (y >= 0) & (y < mask.shape[0])
+    inside = np.zeros(len(xy), bool)
+    inside[seen] = mask[y[seen], x[seen]]
+    return inside

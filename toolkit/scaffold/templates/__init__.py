@@ -1,0 +1,1 @@
+"""One working implementation a stage; `Template` and `template` become the new plugin's names."""
