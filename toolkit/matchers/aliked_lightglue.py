@@ -26,7 +26,7 @@ class AlikedLightGlue(LightGlueMatcher):
     glue = {"input_dim": 128}  # noqa: RUF012
     derived = ("dkd.hw_grid",)
 
-    def cards(self) -> tuple[str, str]:
+    def checkpoints(self) -> tuple[str, str]:
         """The chosen model's and the LightGlue for it."""
         return self._model, "aliked-lightglue"
 

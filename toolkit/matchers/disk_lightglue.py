@@ -17,7 +17,7 @@ class DiskLightGlue(LightGlueMatcher):
     name = "disk_lightglue"
     glue = {"input_dim": 128}  # noqa: RUF012
 
-    def cards(self) -> tuple[str, str]:
+    def checkpoints(self) -> tuple[str, str]:
         """DISK's, trained with depth, and the LightGlue for it."""
         return "disk", "disk-lightglue"
 

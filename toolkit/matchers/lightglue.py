@@ -57,7 +57,7 @@ class LightGlueMatcher(TurningMatcher):
         return self.config.crop_size
 
     @abstractmethod
-    def cards(self) -> tuple[str, str]:
+    def checkpoints(self) -> tuple[str, str]:
         """Names of the weight cards of extractor and LightGlue."""
 
     @abstractmethod
@@ -104,7 +104,7 @@ class LightGlueMatcher(TurningMatcher):
 
     @cached_property
     def _paths(self) -> tuple[Path, Path]:
-        extractor, glue = self.cards()
+        extractor, glue = self.checkpoints()
         return resolve_weights(extractor, self.config.extractor_file), resolve_weights(glue, self.config.glue_file)
 
     @cached_property

@@ -24,7 +24,7 @@ class XFeatLighterGlue(LightGlueMatcher):
         "width_confidence": 0.95,
     }
 
-    def cards(self) -> tuple[str, str]:
+    def checkpoints(self) -> tuple[str, str]:
         """XFeat's and LighterGlue's."""
         return "xfeat", "xfeat-lighterglue"
 

@@ -42,7 +42,7 @@ def adjust(
         N cameras.
     """
     stated = [invert(T_world_table) @ camera.T_world_camera for camera in cameras]
-    poses = list(stated)
+    poses: list[Float] = list(stated)
     moving = np.flatnonzero(free)
     columns = {n: slice(6 * i, 6 * i + 6) for i, n in enumerate(moving)}
     for _ in range(_ITERATIONS):
