@@ -323,6 +323,7 @@ EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",
     {
+        "arm": "toolkit.executors.arm:Arm",
         "kinematic": "toolkit.executors.kinematic:Kinematic",
         "replay": "toolkit.executors.replay:Replay",
     },

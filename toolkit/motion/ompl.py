@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import importlib.util
+import time
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydantic import Field
@@ -17,13 +19,14 @@ from toolkit.moves import MotionProblem
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure, Float
 
+_PARTS = ("base", "geometric", "util")
 _SET_SEED = "_ZN4ompl3RNG7setSeedEm"
 
 
 class OmplConfig(PluginConfig):
     """Settings of `ompl`."""
 
-    time_s: float = Field(5.0, gt=0, description="Longest search; what takes longer has failed.")
+    time_s: float = Field(5.0, gt=0, description="Longest search, of processor time; what takes longer has failed.")
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
     step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
     shortcuts: int = Field(60, ge=0, description="Shortcuts tried on a path that was found.")
@@ -57,8 +60,8 @@ class Ompl(Plugin):
         return shortcut(found, problem.free, self.config.step_rad, self.config.shortcuts, rng)
 
     def _search(self, problem: MotionProblem, seed: int) -> Float | None:
-        from ompl import base, geometric, util
-
+        # Any: its stubs type states and paths by their base classes, which lack what is used here.
+        base, geometric, util = (cast(Any, importlib.import_module(f"ompl.{part}")) for part in _PARTS)
         util.setLogLevel(util.LogLevel.LOG_NONE)
         _seed(seed)
         dimensions = len(problem.start)
@@ -80,7 +83,8 @@ class Ompl(Plugin):
         planner.setRange(self.config.range_rad)
         planner.setProblemDefinition(definition)
         planner.setup()
-        planner.solve(base.timedPlannerTerminationCondition(self.config.time_s))
+        end = time.process_time() + self.config.time_s
+        planner.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
         if not definition.hasExactSolution():
             return None
         return np.array([state[0:dimensions] for state in definition.getSolutionPath().getStates()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from toolkit.types import Float
 def densify(path: Float, step: float) -> Float:
     """(M, J) points of an (N, J) path at most `step` radians apart, its own among them."""
     parts = [path[:1]]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
         parts.append(a + (b - a) * np.linspace(0, 1, count + 1)[1:, None])
     return np.concatenate(parts)
