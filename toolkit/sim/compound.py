@@ -8,31 +8,44 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import trimesh
 
 from toolkit.sim.bullet import pybullet
+from toolkit.types import Float
 
 
-def add_compound(client: int, hulls: Sequence[Path]) -> int:
-    """Make one collision shape of convex meshes (OBJ or STL) in a client; returns its id.
+def add_compound(client: int, hulls: Sequence[Path], grow: float = 0.0) -> int:
+    """Make one collision shape of convex meshes (OBJ or STL) in a client, grown by some metres; returns its id.
 
     PyBullet's own list of shapes ends at 16 and drops the rest without a word; the objects of one OBJ file become
     pieces without such a limit. It keeps what it read by file name, so the name is a new one every time.
     """
     with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
         file = Path(folder) / "compound.obj"
-        file.write_text(_obj_text(tuple(hulls)))
+        file.write_text(_obj_text(tuple(hulls), grow))
         return int(pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(file), physicsClientId=client))
 
 
 @lru_cache(maxsize=512)
-def _obj_text(hulls: tuple[Path, ...]) -> str:
+def _pieces(hulls: tuple[Path, ...]) -> list[Any]:
+    return [cast(Any, trimesh.load(hull, force="mesh")).convex_hull for hull in hulls]
+
+
+def mass_center(hulls: Sequence[Path]) -> Float:
+    """(3,) centre of mass of convex meshes of even density, in their own coordinates."""
+    pieces = _pieces(tuple(hulls))
+    return np.average([piece.center_mass for piece in pieces], axis=0, weights=[abs(piece.volume) for piece in pieces])
+
+
+@lru_cache(maxsize=512)
+def _obj_text(hulls: tuple[Path, ...], grow: float) -> str:
     lines: list[str] = []
     seen = 0
-    for number, hull in enumerate(hulls):
-        mesh = cast(Any, trimesh.load(hull, force="mesh")).convex_hull
+    for number, mesh in enumerate(_pieces(hulls)):
         lines.append(f"o piece_{number}")
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices]
+        vertices = mesh.vertices + grow * mesh.vertex_normals if grow else mesh.vertices
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
         lines += ["f " + " ".join(str(seen + 1 + vertex) for vertex in face) for face in mesh.faces]
         seen += len(mesh.vertices)
     return "\n".join(lines) + "\n"

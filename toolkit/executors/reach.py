@@ -1,0 +1,215 @@
+"""From a grasp and a motion to an arm's whole way: IK, straight lines near the object, free motion between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolkit.geometry import invert, make_transform
+from toolkit.moves import Grasp, MotionProblem
+from toolkit.sim.clearance import Clearance
+from toolkit.stages import Motion
+from toolkit.types import Failure, Float
+
+_RANDOM_STARTS = 11
+_LINE_STEP_M = 0.01
+_JUMP_RAD = 0.4
+"""A joint that turns further than this in one step along a line has changed over to another solution."""
+
+_LIFTS_M = (0.15, 0.10, 0.06)
+_MOST_MOTIONS = 3
+"""Grasps whose free motion is searched for at most."""
+
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""A gripper turned by this holds the same."""
+
+_REASONS = (
+    "no IK solution reaches any grasp",
+    "no straight way leads to any grasp without touching something",
+    "the goal is out of the arm's reach with every grasp",
+    "on the straight way to the place arm or object would touch something",
+)
+"""By how far the best grasp came."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Everything an arm does to move one object.
+
+    Attributes:
+        opening: distance of the fingertips before they close, metres.
+        to_grasp: (N, J) free motion to above the grasp.
+        approach: (N, J) along the gripper's axis.
+        lift: (N, J) straight up.
+        transfer: (N, J) free motion with the object.
+        lower: (N, J) straight down.
+        retreat: (N, J) back along the gripper's axis.
+    """
+
+    opening: float
+    to_grasp: Float
+    approach: Float
+    lift: Float
+    transfer: Float
+    lower: Float
+    retreat: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The straight parts of a way."""
+
+    approach: Float
+    lift: Float
+    lower: Float
+    retreat: Float
+
+
+class Reach:
+    """Plans ways among objects.
+
+    Args:
+        scene: robot and objects to keep clear of.
+        motion: searches free motions.
+        approach_m: way along the gripper's axis to the grasp, and back from the place.
+        seed: of IK's starts and the search.
+    """
+
+    def __init__(self, scene: Clearance, motion: Motion, approach_m: float, seed: int) -> None:
+        self._scene = scene
+        self._motion = motion
+        self._approach_m = approach_m
+        self._seed = seed
+        chain = scene.robot.chain
+        rng = np.random.default_rng(seed)
+        low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
+        self._starts = rng.uniform(low, high, (_RANDOM_STARTS, len(low)))
+
+    def plan(
+        self, q: Float, number: int, poses: Sequence[Float], grasps: Sequence[Grasp], T_place_pick: Float
+    ) -> Way | Failure:
+        """The way of the first grasp that works out.
+
+        Args:
+            q: (J,) where the arm is.
+            number: the object to move.
+            poses: (4, 4) of all objects.
+            grasps: on that object, best first.
+            T_place_pick: (4, 4) its motion.
+        """
+        furthest, searched = 0, 0
+        failure: Failure | None = None
+        for grasp in grasps:
+            for turn in (np.eye(4), _HALF_TURN):
+                lines = self._lines(q, number, poses, grasp, turn, T_place_pick)
+                if isinstance(lines, int):
+                    furthest = max(furthest, lines)
+                    continue
+                way = self._join(q, number, poses, grasp.opening, lines)
+                if isinstance(way, Way):
+                    return way
+                failure, searched = way, searched + 1
+                if searched == _MOST_MOTIONS:
+                    return failure
+        return failure or Failure("executor", _REASONS[furthest])
+
+    def _lines(
+        self, q: Float, number: int, poses: Sequence[Float], grasp: Grasp, turn: Float, T_place_pick: Float
+    ) -> Lines | int:
+        """The straight parts; where they do not work out, how far they came, as an index into `_REASONS`."""
+        scene, robot = self._scene, self._scene.robot
+        closed = grasp.opening - 0.01  # antipodal grasps open 5 mm wider on each side
+        T_tips_hand = invert(robot.T_hand_tips(max(closed, 0.0)))
+        hand = grasp.T_world_gripper @ turn @ T_tips_hand
+        back = -self._approach_m * hand[:3, :3] @ robot.model.R_hand_gripper[:, 2]
+        place = T_place_pick @ hand
+        place_back = -self._approach_m * place[:3, :3] @ robot.model.R_hand_gripper[:, 2]
+        drive = robot.drive_for(grasp.opening)
+        at_grasps = self._solve(hand, q)[:3]
+        if at_grasps and not self._solve(place, q):
+            return 2
+        furthest = 0
+        for at_grasp in at_grasps:
+            scene.arrange(poses, drive)
+            scene.approach(number)
+            furthest = max(furthest, 1)
+            approach = self._line(at_grasp, _shifted(hand, back)) if scene.free(at_grasp) else None
+            if approach is None or not all(map(scene.free, approach)):
+                continue
+            scene.carry(number, scene.object_in_hand(at_grasp, poses[number]))
+            for height in _LIFTS_M:
+                up = np.array([0, 0, height])
+                lift = self._line(at_grasp, _shifted(hand, up))
+                furthest = max(furthest, 2)
+                if lift is None:
+                    continue
+                for at_place in self._solve(place, lift[-1])[:3]:
+                    lower = self._line(at_place, _shifted(place, up))
+                    retreat = self._line(at_place, _shifted(place, place_back))
+                    if lower is None or retreat is None:
+                        continue
+                    furthest = max(furthest, 3)
+                    if all(map(scene.free, (*lift[1:], *lower[1:]))) and self._leaves(
+                        number, T_place_pick, poses, retreat, drive
+                    ):
+                        return Lines(approach[::-1], lift, lower[::-1], retreat)
+                    scene.carry(number, scene.object_in_hand(at_grasp, poses[number]))
+        return furthest
+
+    def _leaves(self, number: int, T_place_pick: Float, poses: Sequence[Float], retreat: Float, drive: float) -> bool:
+        """Say whether the opened hand gets away from the object where it was put."""
+        self._scene.put(number, T_place_pick @ poses[number])
+        return all(map(self._scene.free, retreat))
+
+    def _join(self, q: Float, number: int, poses: Sequence[Float], opening: float, lines: Lines) -> Way | Failure:
+        """Free motions to the straight parts, and between them."""
+        scene = self._scene
+        scene.arrange(poses, scene.robot.drive_for(opening))
+        to_grasp = self.motion(q, lines.approach[0])
+        if isinstance(to_grasp, Failure):
+            return to_grasp
+        scene.carry(number, scene.object_in_hand(lines.lift[0], poses[number]), lowest=0.005)
+        transfer = self.motion(lines.lift[-1], lines.lower[0])
+        if isinstance(transfer, Failure):
+            return transfer
+        return Way(opening, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
+
+    def motion(self, start: Float, goal: Float) -> Float | Failure:
+        """A free motion in the scene as it is arranged; joints without limits turn the shorter way."""
+        chain = self._scene.robot.chain
+        problem = MotionProblem(start, goal, chain.lower, chain.upper, self._scene.free)
+        return self._motion.plan(problem, self._seed)
+
+    def _solve(self, hand: Float, near: Float) -> list[Float]:
+        """IK solutions, the nearest to `near` first; of joints without limits, the turn nearest to it."""
+        chain = self._scene.robot.chain
+        found = chain.solve(hand, np.concatenate([near[None], near + 0.3 * (self._starts - near), self._starts]))
+        endless = chain.upper >= 2 * np.pi
+        turned = near + (found - near + np.pi) % (2 * np.pi) - np.pi
+        found = np.where(endless & (np.abs(turned) <= chain.upper), turned, found)
+        order = np.argsort(np.abs(found - near).max(axis=1), kind="stable")
+        unlike: list[Float] = []
+        for q in found[order]:
+            if all(np.abs(q - other).max() > 0.05 for other in unlike):
+                unlike.append(q)
+        return unlike
+
+    def _line(self, q: Float, end: Float) -> Float | None:
+        """(N, J) joint angles along a straight line of the hand, from where it is at `q`; None where it gets stuck."""
+        chain = self._scene.robot.chain
+        start = self._scene.hand_at(q)
+        count = max(1, int(np.ceil(np.linalg.norm(end[:3, 3] - start[:3, 3]) / _LINE_STEP_M)))
+        path = [q]
+        for part in np.linspace(0, 1, count + 1)[1:]:
+            target = make_transform(start[:3, :3], (1 - part) * start[:3, 3] + part * end[:3, 3])
+            found = chain.solve(target, path[-1][None])
+            if not len(found) or np.abs(found[0] - path[-1]).max() > _JUMP_RAD:
+                return None
+            path.append(found[0])
+        return np.array(path)
+
+
+def _shifted(T: Float, by: Float) -> Float:
+    return make_transform(T[:3, :3], T[:3, 3] + by)

@@ -1,0 +1,1 @@
+"""Ways for an arm from one pose to another that touch nothing."""
