@@ -29,6 +29,7 @@ STAGE_CHECKS: dict[str, str] = {
     "refiner": "toolkit.conformance.refiner",
     "planner": "toolkit.conformance.planner",
     "grasp": "toolkit.conformance.grasp",
+    "motion": "toolkit.conformance.motion",
     "executor": "toolkit.conformance.executor",
 }
 """Stage -> the module whose CHECKS its implementations must pass."""
