@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from toolkit.conformance.kit import Check, Subject, require, require_same_twice
@@ -42,8 +44,7 @@ def _gap(q: Float) -> bool:
     return not (abs(q[0]) < 0.1 and q[1] < 0.8)
 
 
-def _problem(free: object, goal: Float = _GOAL) -> MotionProblem:
-    assert callable(free)
+def _problem(free: Callable[[Float], bool], goal: Float = _GOAL) -> MotionProblem:
     return MotionProblem(_START, goal, -_BOUND, _BOUND, free)
 
 
