@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
+from toolkit.regions import true_owner
 from toolkit.types import Float, Frame, Mask, Segment
 
 _BEST_VIEWS = 3
@@ -80,9 +81,6 @@ def true_instances(database: Database, goal: Frame, segments: Sequence[Segment])
 
 
 def _owner(frame: Frame, mask: Mask) -> int:
-    """The true object that a mask covers most of; -1 for none."""
     if frame.true_masks is None:
         raise ToolkitError(f"assignment truth needs true masks (mask_visib/), and frame {frame.index} has none")
-    overlaps = {key: int((true & mask).sum()) for key, true in sorted(frame.true_masks.items())}
-    owner = max(overlaps, key=overlaps.__getitem__, default=-1)
-    return owner if overlaps.get(owner, 0) > 0 else -1
+    return true_owner(frame.true_masks, mask)

@@ -165,6 +165,7 @@ class Pipeline:
             segments = self.stages.goal_segmenter.segment(goal, database.frames)
         if not segments:
             return []
+        references, models = self._prepared(database)
         rankings: list[np.ndarray] = []
         queries: Float | None = None
         if len(database):
@@ -176,7 +177,6 @@ class Pipeline:
             with self.meter.stage("index"):
                 self.stages.index.build(database.descriptors)
                 rankings = list(self.stages.index.search(queries, len(database))[1])
-        references, models = self._prepared(database)
         if queries is not None and self.settings.assignment == "global":
             scores = instance_similarity(queries @ database.descriptors.T, database.instances)
             chosen = assign_instances(scores, self._verify(goal, segments, scores, models))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import lift, observation_vector
-from toolkit.types import Failure, Frame, Region, Segment
+from toolkit.types import Failure, Frame, Mask, Region, Segment
 
 MIN_POINTS = 10
 """A region with fewer measured points says nothing about where its object is."""
@@ -31,3 +34,10 @@ def lift_segment(frame: Frame, segment: Segment) -> Region | Failure:
     points = lift(camera.K, camera.T_world_camera, pixels.astype(np.float64), frame.depth[rows, columns])
     observation = observation_vector(camera.T_world_camera, points)
     return Region(frame.index, segment, points.astype(np.float32), pixels, observation)
+
+
+def true_owner(true_masks: Mapping[int, Mask], where: Any) -> int:
+    """The object whose true mask holds most of the pixels `where`, a (H, W) mask or rows and columns; -1 for none."""
+    overlaps = {key: int(mask[where].sum()) for key, mask in true_masks.items()}
+    owner = max(sorted(overlaps), key=overlaps.__getitem__, default=-1)
+    return owner if overlaps.get(owner, 0) > 0 else -1

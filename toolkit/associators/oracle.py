@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
+from toolkit.regions import true_owner
 from toolkit.registry import Plugin
 from toolkit.types import Frame, Region
 
@@ -27,8 +28,6 @@ class OracleAssociator(Plugin):
             if truth is None:
                 raise ToolkitError(f"the oracle associator needs true masks, and frame {region.frame_index} has none")
             x, y = region.pixels.T
-            overlaps = {key: int(mask[y, x].sum()) for key, mask in truth.items()}
-            owner = max(sorted(overlaps), key=overlaps.__getitem__, default=-1)
-            owners.append(owner if overlaps.get(owner, 0) > 0 else -1)
+            owners.append(true_owner(truth, (y, x)))
         # Regions on no object at all share one instance of their own, so that they stay in every count.
         return np.unique(owners, return_inverse=True)[1].astype(np.int64)

@@ -132,7 +132,7 @@ def find_tabletop(frames: Sequence[Frame]) -> Tabletop:
     if not found:
         raise error
     T = table_frame([frame for frame, _ in found], [plane for _, plane in found])
-    T[:3, 3] += T[:3, :2] @ (T[:3, :2].T @ (_middle(T, frames, masks) - T[:3, 3]))
+    T[:3, 3] = _middle(T, frames, masks)
     return Tabletop(T, tuple(masks))
 
 
