@@ -91,6 +91,25 @@ def fit_plane(frame: Frame) -> Plane:
     return _refine(coefficients, rays, depth)
 
 
+def fit_planes(frames: Sequence[Frame]) -> list[Plane | None]:
+    """The table plane of every frame; None where a frame's depth shows none.
+
+    Raises:
+        ToolkitError: no frame shows one; the last one's reason.
+    """
+    planes: list[Plane | None] = []
+    reason: ToolkitError | None = None
+    for frame in frames:
+        try:
+            planes.append(fit_plane(frame))
+        except ToolkitError as error:
+            planes.append(None)
+            reason = error
+    if reason is not None and not any(planes):
+        raise reason
+    return planes
+
+
 def _ransac(rays: Float, depth: Float, rng: np.random.Generator) -> tuple[Float, float]:
     """Return the best (3,) coefficients and the share of points within _CONSENSUS_M of them."""
     triples = rng.integers(0, len(rays), (_HYPOTHESES, 3))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
-from toolkit.plane import Plane, fit_plane, on_plane, table_frame, table_homography
+from toolkit.plane import fit_planes, on_plane, table_frame, table_homography
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
 _PIXEL_M = 0.002
@@ -117,20 +117,14 @@ def find_tabletop(frames: Sequence[Frame]) -> Tabletop:
     Raises:
         ToolkitError: no frame's depth shows a table.
     """
-    found: list[tuple[Frame, Plane]] = []
-    masks: list[Mask] = []
-    error = ToolkitError("cameras are registered by the table in the current frames, and there is no frame")
-    for frame in frames:
-        try:
-            plane = fit_plane(frame)
-        except ToolkitError as reason:
-            error = reason
-            masks.append(np.zeros(frame.rgb.shape[:2], bool))
-            continue
-        found.append((frame, plane))
-        masks.append(on_plane(plane, frame))
-    if not found:
-        raise error
+    if not frames:
+        raise ToolkitError("cameras are registered by the table in the current frames, and there is no frame")
+    planes = fit_planes(frames)
+    found = [(frame, plane) for frame, plane in zip(frames, planes, strict=True) if plane is not None]
+    masks = [
+        np.zeros(frame.rgb.shape[:2], bool) if plane is None else on_plane(plane, frame)
+        for frame, plane in zip(frames, planes, strict=True)
+    ]
     T = table_frame([frame for frame, _ in found], [plane for _, plane in found])
     T[:3, 3] = _middle(T, frames, masks)
     return Tabletop(T, tuple(masks))

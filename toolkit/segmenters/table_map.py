@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
-from toolkit.plane import Plane, fit_plane, on_plane, pixel_rays, table_frame, table_homography
+from toolkit.plane import Plane, fit_planes, on_plane, pixel_rays, table_frame, table_homography
 from toolkit.segmenters.clusters import cluster_above_plane, table_hull
 from toolkit.segmenters.looks import learn_looks
 from toolkit.types import Camera, Float, Frame, Image, Mask
@@ -70,12 +70,10 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
     planes: list[Plane] = []
     height = _LEAST_HEIGHT_M
     labels: list[NDArray[np.int32]] = []
-    error = ToolkitError("table_appearance learns the table from the current frames, and there is none")
-    for frame in current:
-        try:
-            plane = fit_plane(frame)
-        except ToolkitError as reason:
-            error = reason
+    if not current:
+        raise ToolkitError("table_appearance learns the table from the current frames, and there is none")
+    for frame, plane in zip(current, fit_planes(current), strict=True):
+        if plane is None:
             continue
         labels.append(cluster_above_plane(frame, plane))
         things = labels[-1] > 0
@@ -85,8 +83,6 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
         kernel = np.ones((2 * _OBJECT_MARGIN_PX + 1,) * 2, np.uint8)
         frames.append((frame, on_plane(plane, frame) & (cv2.dilate(things.astype(np.uint8), kernel) == 0)))
         planes.append(plane)
-    if not frames:
-        raise error
     T_world_table = table_frame([frame for frame, _ in frames], planes)
     points = np.concatenate([_table_points(frame, mask) for frame, mask in frames])
     in_table = (points - T_world_table[:3, 3]) @ T_world_table[:3, :2]
