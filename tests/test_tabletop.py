@@ -14,7 +14,9 @@ from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, home_camera, ring_cameras
 from toolkit.errors import ToolkitError
 from toolkit.geometry import rotation_angle
+from toolkit.sim.bullet import best_renderer
 
+NO_EGL = pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")
 SMALL = {"min_objects": 2, "max_objects": 3, "views": 2, "supersample": 1}
 
 
@@ -115,3 +117,16 @@ def test_a_folder_that_is_no_dataset_is_said_to_be_so(tmp_path):
         read_dataset(tmp_path / "absent")
     with pytest.raises(ToolkitError, match="holds no capture"):
         read_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("renderer", ["tiny", pytest.param("egl", marks=NO_EGL)])
+def test_recoloured_objects_are_rendered_in_their_own_colours(cache, tmp_path, renderer):
+    config = TabletopConfig(scenes=1, seed=2, **SMALL | {"min_objects": 2, "max_objects": 2}, renderer=renderer)
+    alike, other = (
+        load_capture(build_dataset(config.model_copy(update={"lookalikes": kind}), tmp_path / kind, cache) / "000000")
+        for kind in ("twins", "recolored")
+    )
+    shown = [c.goal.rgb[c.goal.true_masks[1]].mean(axis=0) for c in (alike, other)]
+    assert np.abs(shown[0] - shown[1]).max() > 15
+    unchanged = [c.goal.rgb[c.goal.true_masks[0]].mean(axis=0) for c in (alike, other)]
+    np.testing.assert_allclose(*unchanged, atol=2)

@@ -49,17 +49,26 @@ def with_lookalikes(assets: Sequence[ObjectAsset], kind: Lookalikes, cache: Path
 
 
 def _recolored(asset: ObjectAsset, cache: Path) -> ObjectAsset:
-    data = asset.texture.read_bytes()
-    path = cache / "objects" / "recolored" / f"{hashlib.sha256(data).hexdigest()}.png"
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        texture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        if texture is None:
+    shape, image = asset.mesh.read_bytes(), asset.texture.read_bytes()
+    folder = cache / "objects" / "recolored"
+    mesh, texture = (folder / f"{hashlib.sha256(d).hexdigest()}{end}" for d, end in ((shape, ".obj"), (image, ".png")))
+    if not mesh.is_file():
+        mesh.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(mesh, _without_material(shape))
+    if not texture.is_file():
+        pixels = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
             raise ToolkitError(f"texture '{asset.texture}' is not an image")
-        write_bytes(path, cv2.imencode(".png", _turned_in_hue(np.asarray(texture, np.uint8)))[1].tobytes())
+        write_bytes(texture, cv2.imencode(".png", _turned_in_hue(np.asarray(pixels, np.uint8)))[1].tobytes())
     name = f"{asset.name}_recolored"
     model = replace(asset.model, object_id=asset.model.object_id + _RECOLORED_ID, name=name)
-    return replace(asset, name=name, texture=path, model=model)
+    return replace(asset, name=name, mesh=mesh, texture=texture, model=model)
+
+
+def _without_material(obj: bytes) -> bytes:
+    """An OBJ file that names no image: PyBullet's EGL renderer prefers the one it names to the one it is given."""
+    lines = obj.splitlines(keepends=True)
+    return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl")))
 
 
 def _turned_in_hue(bgr: Image) -> Image:
