@@ -19,7 +19,7 @@ from toolkit.data.dataset import build_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.evaluate import score
 from toolkit.fusion import FusedModel, Models, Patch, RefineTask, Start, fuse
-from toolkit.geometry import make_transform, rotation_angle, rotation_z
+from toolkit.geometry import make_transform, rotation_angle, rotation_z, transform_points
 from toolkit.jax_geometry import rotation_exp
 from toolkit.lighting import estimate_light, relit
 from toolkit.metrics import pose_error
@@ -27,10 +27,11 @@ from toolkit.pipeline import Pipeline, PipelineSettings, Stages
 from toolkit.refiners import align as alignment
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.combine import _about, combine
-from toolkit.refiners.compare import Hypothesis, all_rotations, yaw_rotations
+from toolkit.refiners.compare import Hypothesis
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.images import normalized
 from toolkit.refiners.likeness import unlikeness
+from toolkit.refiners.turns import resting_rotations, yaw_rotations
 from toolkit.refiners.verdict import judge
 from toolkit.regions import lift_segment
 from toolkit.stages import (
@@ -167,7 +168,7 @@ def test_the_gauss_newton_gradient_is_the_derivative(tasks):
     task = next(iter(tasks.values()))
     cloud = Cloud(task.models.get(task.instance), LEVELS_PX, np.zeros(3))
     goal = view_goal(task.goal, task.segment, ())
-    points, values, weights = cloud.patch(0, np.eye(3))
+    points, values, weights = cloud.patch(0, np.eye(3), cloud.model.patches[0].observation)
     source = alignment.Source(*(jnp.asarray(a) for a in (points, values, weights)), jnp.asarray(cloud.points))
     R = jnp.asarray(Rotation.from_rotvec([0.1, -0.2, 0.4]).as_matrix(), jnp.float32)
     _, duv = alignment._project(source.points @ R.T + jnp.asarray(cloud.center, jnp.float32), goal.image)
@@ -198,13 +199,35 @@ def test_normalised_images_ignore_light_and_background():
     assert (plain[~mask] == 0).all()
 
 
-def test_rotations_are_spread_and_proper():
-    for R in (yaw_rotations(72), all_rotations(26, 24)):
+def box_points(size, noise=0.0):
+    """Points on the surface of a box of (3,) sides, its centre at the origin."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (4000, 3))
+    side = rng.integers(3, size=len(points))
+    points[np.arange(len(points)), side] = np.sign(points[np.arange(len(points)), side]) / 2
+    return points * size + rng.normal(0, noise, points.shape) if noise else points * size
+
+
+def test_rotations_are_proper_and_reach_everywhere():
+    everywhere = resting_rotations(box_points([0.04, 0.08, 0.14]), 26, 24)
+    for R in (yaw_rotations(72), everywhere):
         np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(R), 1)
-    everywhere = all_rotations(26, 24)
+    np.testing.assert_allclose(everywhere[0], np.eye(3), atol=1e-12)
     for target in Rotation.random(50, rng=np.random.default_rng(0)).as_matrix():
         assert min(rotation_angle(target.T @ R) for R in everywhere) < np.radians(40)
+
+
+def test_a_box_may_have_been_put_on_each_of_its_sides():
+    turned = box_points([0.04, 0.08, 0.14], noise=0.0003) @ Rotation.from_euler("z", 20, degrees=True).as_matrix().T
+    ups = resting_rotations(turned, 6, 1)[:, 2]
+    sides = np.concatenate([np.eye(3), -np.eye(3)]) @ Rotation.from_euler("z", -20, degrees=True).as_matrix()
+    assert (np.degrees(np.arccos((sides @ ups.T).max(axis=1).clip(-1, 1))) < 3).all()
+
+
+def test_a_flat_object_has_no_hull_to_rest_on():
+    sheet = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3)) * [1, 1, 0]
+    assert resting_rotations(sheet, 8, 4).shape == (32, 3, 3)
 
 
 def test_nothing_recompiles_after_warm_up(tasks):
@@ -251,7 +274,7 @@ def test_a_hidden_side_is_said_to_be_hidden(tasks):
     center = model.center
     half_turn = rotation_z(np.pi)
     half_turn[:3, 3] = center - half_turn[:3, :3] @ center
-    first = Hypothesis(half_turn, 0.9, 0.5, 0.1, 0.6, 1.0, np.eye(6))
+    first = Hypothesis(half_turn, 0.9, 1.0, 0.5, 0.1, 0.6, 1.0, np.eye(6))
     second = replace(first, T_goal_current=np.eye(4), iou=0.89)
     hidden = judge([first, second], _two_coloured(model, center), (), 0.03)
     assert hidden.ambiguity == "hidden" and hidden.best is first and len(hidden.equivalents) == 2
@@ -346,12 +369,31 @@ def test_lookalikes_are_told_apart_or_shared_out(cache, tmp_path, kind):
     assert all(row.success_sym for row in score(capture, estimates))
 
 
+def test_objects_that_were_tipped_over_lie_on_the_table(cache, tmp_path):
+    config = TabletopConfig(scenes=1, seed=0, min_objects=3, max_objects=3, poses="stable", renderer="tiny")
+    capture = load_capture(build_dataset(config, tmp_path / "tipped", cache) / "000000")
+    assert sum(rotation_angle(_about_horizontal(t.T_goal_current)) > 0.5 for t in capture.truth.values()) >= 2
+    pipeline = make_pipeline("render_compare", {"prior": "resting"})
+    estimates = pipeline.run(capture)
+    models = Models(pipeline.build_database(capture.current))
+    for estimate in estimates:
+        moved = transform_points(estimate.T_goal_current, models.get(estimate.instance).points)
+        assert -0.004 < moved[:, 2].min() < 0.008
+    assert any(row.success_sym for row in score(capture, estimates))
+
+
+def _about_horizontal(T):
+    """The part of a turn that tips: what is left between the vertical and where it goes."""
+    return Rotation.align_vectors([T[:3, 2]], [[0, 0, 1]])[0].as_matrix()
+
+
 def test_clouds_have_one_shape(database):
     big = fuse(database, 0)
     small = FusedModel(big.points[:40], big.colors[:40], big.seen_by[:40], big.patches)
     for model in (big, small):
         cloud = Cloud(model, LEVELS_PX, np.zeros(3))
-        assert cloud.points.shape == (1024, 3) and cloud.patch(0, np.eye(3))[0].shape == (768, 3)
+        assert cloud.points.shape == cloud.normals.shape == cloud.colors.shape == (1280, 3)
+        assert cloud.patch(0, np.eye(3), np.array([0.0, 0.0, 1.0]))[0].shape == (768, 3)
         assert cloud.valid.sum() == min(len(model.points), 1024)
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from toolkit.database import Database
+from toolkit.errors import ToolkitError
+from toolkit.plane import fit_planes, table_frame
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
 
 _VOXEL_M = 0.002
@@ -123,6 +125,23 @@ class Models:
         if instance not in self._known:
             self._known[instance] = fuse(self._database, instance)
         return self._known[instance]
+
+    def table_height(self, xy: Float) -> float | None:
+        """World z of the table at (2,) world x and y, metres; None where the depth of no frame shows one."""
+        if self._table is None:
+            return None
+        up, on_table = self._table[:3, 2], self._table[:3, 3]
+        return float(on_table[2] - up[:2] @ (xy - on_table[:2]) / up[2])
+
+    @cached_property
+    def _table(self) -> Float | None:
+        frames = self._database.frames
+        try:
+            planes = fit_planes(frames)
+        except ToolkitError:
+            return None
+        seen = [(frame, plane) for frame, plane in zip(frames, planes, strict=True) if plane is not None]
+        return table_frame([frame for frame, _ in seen], [plane for _, plane in seen])
 
     def all(self) -> list[FusedModel]:
         """The models of all instances that have one."""

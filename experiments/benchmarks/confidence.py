@@ -62,7 +62,8 @@ def samples(capture_folder: Path) -> list[list[float]]:
         others = [e.segment for e in estimates if e is not estimate]
         goal, starts = view_goal(capture.goal, estimate.segment, others), starts_of(estimate)
         motions = [start.T_goal_current for start in starts]
-        found = compare(Cloud(model, LEVELS_PX, light), goal, motions, RenderCompare().search())
+        cloud = Cloud(model, LEVELS_PX, light)
+        found = compare(cloud, goal, motions, RenderCompare().search(cloud))
         errors = [pose_error(h.T_goal_current, capture.truth[i]) for h in found]
         rows.append([*_judged_by(found, model, starts), float(errors[0].success_sym)])
         wrong = [h for h, e in zip(found, errors, strict=True) if not _near(e)]

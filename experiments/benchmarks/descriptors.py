@@ -7,14 +7,17 @@ python experiments/benchmarks/descriptors.py captures --descriptor color_hist --
 Queries are the goal image's objects, the database is every region of the current frames, masks are true. Recall: the
 most similar region shows the query's object. View error: azimuth, about the object, between the query's view and that
 of the right object's most similar region. `--held-out` counts only objects that training never saw (procedural objects;
-it never saw any scan).
+it never saw any scan). `--together` searches the regions of all scenes, each under its own light, for every query: a
+database of all objects there are.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +40,7 @@ _MIN_PIXELS = 100
 class Seen:
     """One object in one image: which, from which azimuth (radians, in its own frame), and its mask."""
 
-    object_id: int
+    name: str
     azimuth: float
     frame: Frame
     segment: Segment
@@ -53,6 +56,15 @@ class Outcome:
     least: float
 
 
+@dataclass(frozen=True)
+class Search:
+    """Goal objects of some scenes, and the regions they are looked for in."""
+
+    scenes: tuple[int, ...]
+    queries: tuple[Seen, ...]
+    database: tuple[Seen, ...]
+
+
 def azimuth(camera: Camera, T_world_object: Float, center: Float) -> float:
     """From where a camera sees an object, about the vertical through its centre, in the object's own turn."""
     at = T_world_object[:3, :3] @ center + T_world_object[:3, 3]
@@ -66,27 +78,40 @@ def seen_in(frame: Frame, truth: dict[int, tuple[TrueObject, Float]]) -> list[Se
     for object_id, mask in (frame.true_masks or {}).items():
         if mask.sum() >= _MIN_PIXELS:
             true, T = truth[object_id]
-            found.append(Seen(object_id, azimuth(frame.camera, T, true.model.center), frame, Segment(mask)))
+            model = true.model
+            found.append(Seen(model.name, azimuth(frame.camera, T, model.center), frame, Segment(mask)))
     return found
 
 
-def evaluate(descriptor: Descriptor, scene: int, capture: Capture, held_out: bool) -> tuple[list[Outcome], float, int]:
-    """All queries of a capture; seconds and number of crops."""
+def search_of(scene: int, capture: Capture) -> Search:
+    """What one scene asks, and of what."""
     assert capture.truth is not None
     current = {i: (true, true.T_world_current) for i, true in capture.truth.items()}
     goal = {i: (true, true.T_world_goal) for i, true in capture.truth.items()}
-    database = [seen for frame in capture.current for seen in seen_in(frame, current)]
-    queries = seen_in(capture.goal, goal)
-    crops = [crop(seen, descriptor.crop_size) for seen in (*database, *queries)]
+    queries = tuple(seen_in(capture.goal, goal))
+    database = tuple(seen for frame in capture.current for seen in seen_in(frame, current))
+    return Search((scene,) * len(queries), queries, database)
+
+
+def joined(searches: Sequence[Search]) -> Search:
+    """All of them as one."""
+    parts = [[getattr(s, name) for s in searches] for name in ("scenes", "queries", "database")]
+    return Search(*(tuple(chain.from_iterable(part)) for part in parts))
+
+
+def evaluate(descriptor: Descriptor, search: Search, held_out: bool) -> tuple[list[Outcome], float, int]:
+    """All queries of a search; seconds and number of crops."""
+    crops = [crop(seen, descriptor.crop_size) for seen in (*search.database, *search.queries)]
     start = time.perf_counter()
     vectors = descriptor.describe(crops)
     seconds = time.perf_counter() - start
-    similarity = vectors[len(database) :] @ vectors[: len(database)].T
-    ids, azimuths = np.array([s.object_id for s in database]), np.array([s.azimuth for s in database])
+    count = len(search.database)
+    similarity = vectors[count:] @ vectors[:count].T
+    names, azimuths = np.array([s.name for s in search.database]), np.array([s.azimuth for s in search.database])
     outcomes: list[Outcome] = []
-    for query, row in zip(queries, similarity, strict=True):
-        own = ids == query.object_id
-        if not own.any() or (held_out and not is_held_out(capture.truth[query.object_id].model.name)):
+    for scene, query, row in zip(search.scenes, search.queries, similarity, strict=True):
+        own = names == query.name
+        if not own.any() or (held_out and not is_held_out(query.name)):
             continue
         gaps = azimuth_gap_deg(azimuths, np.asarray(query.azimuth))
         best = int(np.where(own, row, -2).argmax())
@@ -105,16 +130,18 @@ def main() -> None:
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--descriptor", action="append", help="all when left out")
     parser.add_argument("--held-out", action="store_true", help="only procedural objects that training never saw")
+    parser.add_argument("--together", action="store_true", help="one database of all scenes' regions")
     options = parser.parse_args()
-    captures = [load_capture(folder) for folder in read_dataset(options.dataset)]
+    searches = [search_of(n, load_capture(folder)) for n, folder in enumerate(read_dataset(options.dataset))]
+    searches = [joined(searches)] if options.together else searches
     lines: list[str] = []
     for name in options.descriptor or DESCRIPTORS.names():
         descriptor = DESCRIPTORS.create(name)
         outcomes: list[Outcome] = []
         seconds, crops = 0.0, 0
-        with Progress(Console(stderr=True)).step(name, len(captures)) as advance:
-            for number, capture in enumerate(captures):
-                found, spent, count = evaluate(descriptor, number, capture, options.held_out)
+        with Progress(Console(stderr=True)).step(name, len(searches)) as advance:
+            for search in searches:
+                found, spent, count = evaluate(descriptor, search, options.held_out)
                 outcomes, seconds, crops = outcomes + found, seconds + spent, crops + count
                 advance(1)
         right = sum(outcome.right for outcome in outcomes)

@@ -27,7 +27,7 @@ from toolkit.experiment import create_stage, expand, load_experiment, own_settin
 from toolkit.fusion import FusedModel, fuse
 from toolkit.pipeline import Pipeline, Stages
 from toolkit.refiners import cloud
-from toolkit.refiners.compare import Search, compare
+from toolkit.refiners.compare import compare
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.render_compare import RenderCompare, RenderCompareConfig
 from toolkit.slots import SLOTS
@@ -85,14 +85,9 @@ def main() -> None:
     cell = expand(load_experiment("render_compare"))[0]
     stages = Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS})
     pipeline = Pipeline(stages, own_settings(cell.pipeline))
-    usual = RenderCompare().search()
-    variants: dict[str, Search] = {"render_compare": usual}
-    variants |= {
-        f"{n} yaws": RenderCompare(RenderCompareConfig.model_validate({"yaws": n})).search() for n in (18, 36, 144)
-    }
-    variants |= {f"{n} refined": replace(usual, kept=n) for n in (5, 20)}
-    variants |= {f"{n} views compared": replace(usual, patches=n) for n in (1, 4)}
-    variants["prior none"] = RenderCompare(RenderCompareConfig.model_validate({"prior": "none"})).search()
+    names = ["render_compare", *(f"{n} yaws" for n in (18, 36, 144)), "prior none"]
+    settings = [{}, *({"yaws": n} for n in (18, 36, 144)), {"prior": "none"}]
+    refiners = [RenderCompare(RenderCompareConfig.model_validate(chosen)) for chosen in settings]
     times: dict[str, list[float]] = defaultdict(list)
     for folder in track(read_dataset(options.dataset), console=Console(stderr=True)):
         capture = load_capture(folder)
@@ -112,8 +107,12 @@ def main() -> None:
             for points in (256, 4096, cloud.SHAPE_POINTS):
                 with mock.patch.object(cloud, "SHAPE_POINTS", points):
                     sampled = cloud.Cloud(model, LEVELS_PX, np.zeros(3))
+                usual = refiners[0].search(sampled)
                 search = partial(compare, sampled, goal, (), usual)
                 times[f"render_compare with {points} points"].append(timed(search, options.repeats))
+            variants = dict(zip(names, (refiner.search(sampled) for refiner in refiners), strict=True))
+            variants |= {f"{n} refined": replace(usual, kept=n) for n in (5, 20)}
+            variants |= {f"{n} views compared": replace(usual, patches=n) for n in (1, 4)}
             for name, search in variants.items():
                 times[name].append(timed(partial(compare, sampled, goal, (), search), options.repeats))
     print("| what | median, ms | p90, ms | against render_compare |\n| --- | --- | --- | --- |")

@@ -18,6 +18,9 @@ _DAMPING = 1e-3
 _MOST_TURN, _MOST_SHIFT_M = 0.15, 0.02
 """Largest step of one iteration, radians and metres."""
 
+_CONTACT_M = 0.001
+"""How exactly the lowest point of an object that rests on the table is known to be on it."""
+
 _FAR_PX = 10.0
 _SPILL_PART = 50
 """One point in so many, the furthest off, says how far the model spills over."""
@@ -84,8 +87,22 @@ class Aligned(NamedTuple):
     spill: jax.Array
 
 
+class Freedom(NamedTuple):
+    """What a refinement may change.
+
+    Attributes:
+        moves: (6,) 1 for each of (turn xyz, shift xyz) that may change, else 0.
+        rests: () 1 where the object's lowest point stays on the table, else 0.
+        table: () the table's height, metres.
+    """
+
+    moves: jax.Array
+    rests: jax.Array
+    table: jax.Array
+
+
 @partial(jax.jit, static_argnums=5)
-def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax.Array, iterations: int) -> Aligned:
+def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Freedom, iterations: int) -> Aligned:
     """Refine (B, 3, 3), (B, 3) poses, each with its own Source (leading axis B).
 
     Args:
@@ -93,18 +110,18 @@ def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax
         t: places of the model's centre, metres.
         source: batched.
         goal: shared.
-        free: (6,) 1 for each of (turn xyz, shift xyz) that may change, else 0.
+        free: shared.
         iterations: per level.
     """
     return jax.vmap(lambda R, t, source: _align(R, t, source, goal, free, iterations))(R, t, source)
 
 
-def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: jax.Array, iterations: int) -> Aligned:
+def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Freedom, iterations: int) -> Aligned:
     levels = goal.values.shape[0]
 
     def step(level: int, R: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         H, g = _normal_equations(R, t, source, goal, level, free)
-        damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free))
+        damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free.moves))
         delta = -jnp.linalg.solve(damped, g)
         turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
         return rotation_exp(turn) @ R, t + shift
@@ -122,23 +139,31 @@ Equations = tuple[jax.Array, jax.Array]
 
 
 def _normal_equations(
-    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: jax.Array
+    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: Freedom
 ) -> Equations:
     turned = source.shape @ R.T
     uv, duv = _project(turned + t, goal)
-    moved = duv @ _motion(turned) * free
-    terms = (_photometric(R, t, source, goal, level, free), _inside(uv, moved, goal), _outline(uv, moved, goal))
+    motion = _motion(turned) * free.moves
+    moved = duv @ motion
+    terms = (
+        _photometric(R, t, source, goal, level, free.moves),
+        _inside(uv, moved, goal),
+        _outline(uv, moved, goal),
+        _contact((turned + t)[:, 2] - free.table, motion[:, 2], free.rests),
+    )
     matrices, gradients = zip(*terms, strict=True)
     return sum(matrices[1:], matrices[0]), sum(gradients[1:], gradients[0])
 
 
-def _photometric(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: jax.Array) -> Equations:
+def _photometric(
+    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, moves: jax.Array
+) -> Equations:
     """The goal shows at each point what the patch showed there."""
     turned = source.points @ R.T
     uv, duv = _project(turned + t, goal)
     value, gradient, inside = _sample(goal.values[level], uv)
     residual = value - source.values[level]
-    J = jnp.einsum("mcu,muk->mck", gradient, duv @ _motion(turned)) * free
+    J = jnp.einsum("mcu,muk->mck", gradient, duv @ _motion(turned)) * moves
     robust = 1 / (1 + (residual**2).sum(axis=1) / (3 * _PHOTO_SIGMA) ** 2) ** 2
     weight = robust * inside * source.weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
     return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, residual)
@@ -160,6 +185,14 @@ def _outline(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
     residual = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
     J = -jnp.einsum("cu,cuk->ck", goal.normals, moved[nearest])
     return _weighted(J, residual, goal.contour_weight)
+
+
+def _contact(height: jax.Array, moved: jax.Array, rests: jax.Array) -> Equations:
+    """The lowest points, of (M,) heights with (M, 6) derivatives, are on the table."""
+    low = jax.nn.softmax(-height / _CONTACT_M)
+    J, residual = low @ moved, low @ height
+    weight = rests / _CONTACT_M**2
+    return weight * jnp.outer(J, J), weight * J * residual
 
 
 def _nearest(queries: jax.Array, points: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import invert, is_same_motion, make_transform
-from toolkit.refiners.align import Source, align
+from toolkit.refiners.align import Freedom, Source, align
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.goal import GoalView
 from toolkit.refiners.render import Score, score_poses
@@ -38,6 +38,7 @@ class Search:
     Attributes:
         rotations: (B, 3, 3) turns that are tried; none to refine the given starts only.
         free: (6,) which of (turn xyz, shift xyz) the refinement may change, 1 or 0.
+        rests: whether the lowest point stays on the table.
         kept: hypotheses that are refined, starts included.
         patches: views every hypothesis is compared with.
         iterations: Gauss-Newton steps a level.
@@ -45,6 +46,7 @@ class Search:
 
     rotations: Float
     free: Float
+    rests: bool
     kept: int
     patches: int
     iterations: int
@@ -57,6 +59,7 @@ class Hypothesis:
     Attributes:
         T_goal_current: (4, 4).
         iou: overlap of silhouettes.
+        known: share of the overlap that shows a side that some view has seen; only there the following count.
         correlation: of locally centred colours, rendered against seen.
         color: mean difference of colours.
         photometric: correlation of normalised intensities with the views it was refined on.
@@ -66,6 +69,7 @@ class Hypothesis:
 
     T_goal_current: Float
     iou: float
+    known: float
     correlation: float
     color: float
     photometric: float
@@ -75,21 +79,7 @@ class Hypothesis:
     @property
     def score(self) -> float:
         """The verification score, common to all routes; higher is better."""
-        return self.iou + self.correlation - self.color + self.photometric
-
-
-def yaw_rotations(count: int) -> Float:
-    """(count, 3, 3) turns about the vertical."""
-    return Rotation.from_rotvec(np.outer(2 * np.pi * np.arange(count) / count, [0, 0, 1])).as_matrix()
-
-
-def all_rotations(tilts: int, yaws: int) -> Float:
-    """(tilts * yaws, 3, 3) turns that put `tilts` directions of a Fibonacci sphere up, each with `yaws` yaws."""
-    step = np.arange(tilts) + 0.5
-    z, azimuth = 1 - 2 * step / tilts, step * np.pi * (3 - np.sqrt(5))
-    tilt = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(tilts)], axis=1) * np.arccos(z)[:, None]
-    upright = Rotation.from_rotvec(tilt).inv().as_matrix()
-    return (yaw_rotations(yaws)[:, None] @ upright[None]).reshape(-1, 3, 3)
+        return self.iou + self.known * (self.correlation - self.color + self.photometric)
 
 
 def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Search) -> list[Hypothesis]:
@@ -107,7 +97,7 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
         jnp.asarray(places, jnp.float32),
         _sources(cloud, goal, turns, places, search.patches),
         goal.image,
-        jnp.asarray(search.free),
+        Freedom(*(jnp.asarray(v, jnp.float32) for v in (search.free, search.rests, cloud.table))),
         search.iterations,
     )
     parts = [np.asarray(part, np.float64) for part in jax.device_get(refined)]
@@ -121,6 +111,7 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
         Hypothesis(
             make_transform(R, t - R @ cloud.center),
             iou=float(agreement.iou[i]),
+            known=float(agreement.known[i]),
             correlation=float(agreement.correlation[i]),
             color=float(agreement.color[i]),
             photometric=float(photometric[i]),
@@ -174,9 +165,9 @@ def _placed(cloud: Cloud, goal: GoalView, R: Float, anchor: Float) -> Float:
     T = invert(camera.T_world_camera)
     y, x = np.nonzero(goal.mask)
     target = (1 - anchor) * [x.min(), y.min()] + anchor * [x.max(), y.max()]
-    turned = cloud.points[:_PLACED_POINTS].astype(np.float64) @ np.swapaxes(R, 1, 2)
-    floor = cloud.center[2] + cloud.points[:, 2].min()
-    heights = floor - turned[..., 2].min(axis=1)
+    some = cloud.points[:: len(cloud.points) // _PLACED_POINTS].astype(np.float64)
+    turned = some @ np.swapaxes(R, 1, 2)
+    heights = cloud.table - (cloud.points @ R[:, 2].T).min(axis=0)
     ray = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K) @ np.array([*target, 1])
     eye = camera.T_world_camera[:3, 3]
     t = eye + ray * ((heights - eye[2]) / ray[2])[:, None]
@@ -210,7 +201,7 @@ def _agreement(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Score:
     poses[:, :3, :3] = T[:3, :3] @ R
     poses[:, :3, 3] = t @ T[:3, :3].T + T[:3, 3]
     K = jnp.asarray(goal.frame.camera.K, jnp.float32)
-    arrays = (jnp.asarray(a) for a in (cloud.points, cloud.colors, cloud.valid))
+    arrays = (jnp.asarray(a) for a in (cloud.points, cloud.normals, cloud.colors, cloud.valid, cloud.seen))
     return jax.device_get(score_poses(*arrays, K, jnp.asarray(poses), jnp.asarray(cloud.shade(R)), goal.grid))
 
 
@@ -238,7 +229,8 @@ def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float, patches: int) -> 
     points, values, weights = [], [], []
     for turn, place in zip(R, t, strict=True):
         direction = turn.T @ (eye - place)
-        chosen = [cloud.patch(i, turn) for i in cloud.nearest_patches(direction / np.linalg.norm(direction), patches)]
+        direction /= np.linalg.norm(direction)
+        chosen = [cloud.patch(i, turn, direction) for i in cloud.nearest_patches(direction, patches)]
         points.append(np.concatenate([c[0] for c in chosen]))
         values.append(np.concatenate([c[1] for c in chosen], axis=1))
         weights.append(np.concatenate([c[2] for c in chosen]))

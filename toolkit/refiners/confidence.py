@@ -34,9 +34,9 @@ def features(found: Sequence[Hypothesis], unlike: Float, *, supported: bool) -> 
     ]
     return np.array(
         [
-            best.correlation,
-            best.photometric,
-            best.color,
+            best.known * best.correlation,
+            best.known * best.photometric,
+            best.known * best.color,
             np.log1p(best.spill_px),
             min([_MOST_LEAD, *leads]),
             float(supported),

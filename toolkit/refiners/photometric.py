@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.compare import FREE, PLANAR, Search
 from toolkit.refiners.render_compare import ImageRefiner, RefinerConfig
 
@@ -14,8 +15,8 @@ class Photometric(ImageRefiner):
     name = "photometric"
     Config = RefinerConfig
 
-    def search(self) -> Search:
+    def search(self, cloud: Cloud) -> Search:
         """See ImageRefiner."""
         c = self.config
         free = PLANAR if c.prior == "planar" else FREE
-        return Search(np.zeros((0, 3, 3)), free, 1, c.patches, c.iterations)
+        return Search(np.zeros((0, 3, 3)), free, c.prior == "resting", 1, c.patches, c.iterations)

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from toolkit.refiners.cloud import FACING_AWAY
+
 GRID = 48
 """Side of the grid that the goal's object is compared on."""
 
@@ -39,14 +41,16 @@ class Score(NamedTuple):
     """How well a rendered pose agrees with the goal.
 
     Attributes:
-        total: iou + correlation - color, higher is better.
+        total: iou + known * (correlation - color), higher is better.
         iou: overlap of silhouettes, not counting what another object may hide.
-        correlation: -1..1, of locally normalised colours over the overlap; 0 where there is no texture.
-        color: mean difference of colours over the overlap, as a part of full contrast.
+        known: 0..1, share of the overlap that shows a side that some view has seen.
+        correlation: -1..1, of locally normalised colours there; 0 where there is no texture.
+        color: mean difference of colours there, as a part of full contrast.
     """
 
     total: jax.Array
     iou: jax.Array
+    known: jax.Array
     correlation: jax.Array
     color: jax.Array
 
@@ -54,22 +58,34 @@ class Score(NamedTuple):
 @jax.jit
 def score_poses(
     points: jax.Array,
+    normals: jax.Array,
     colors: jax.Array,
     valid: jax.Array,
+    known: jax.Array,
     K: jax.Array,
     poses: jax.Array,
     shade: jax.Array,
     goal: GoalGrid,
 ) -> Score:
-    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) opponent colours.
+    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) outward normals and opponent colours.
 
-    Only the (N,) `valid` points count; (B, N) `shade` is the factor of their brightness in every pose.
+    Only the (N,) `valid` points count; (B, N) `shade` is the factor of their brightness in every pose. What is not
+    `known` (N,), or seen from behind, belongs to the silhouette but has no colour.
     """
-    return jax.vmap(lambda pose, factor: _score(points, colors * factor[:, None], valid, K, pose, goal))(poses, shade)
+    return jax.vmap(
+        lambda pose, factor: _score(points, normals, colors * factor[:, None], valid, known, K, pose, goal)
+    )(poses, shade)
 
 
 def _score(
-    points: jax.Array, colors: jax.Array, valid: jax.Array, K: jax.Array, pose: jax.Array, goal: GoalGrid
+    points: jax.Array,
+    normals: jax.Array,
+    colors: jax.Array,
+    valid: jax.Array,
+    known: jax.Array,
+    K: jax.Array,
+    pose: jax.Array,
+    goal: GoalGrid,
 ) -> Score:
     camera = points @ pose[:3, :3].T + pose[:3, 3]
     z = jnp.maximum(camera[:, 2], 1e-3)
@@ -81,18 +97,22 @@ def _score(
     depth = jnp.full(GRID * GRID + 1, 1e3).at[index].min(z)[:-1].reshape(GRID, GRID)
     nearest = -_most(-depth)
     seen = inside & (z < jnp.append(nearest.ravel(), 0.0)[index] + _TOLERANCE_M)
-    weight = jnp.zeros(GRID * GRID + 1).at[index].add(seen)[:-1].reshape(GRID, GRID)
-    color = jnp.zeros((GRID * GRID + 1, 3)).at[index].add(colors * seen[:, None])[:-1].reshape(GRID, GRID, 3)
-    color = color / jnp.maximum(weight, 1)[..., None]
-    painted = (weight > 0).astype(jnp.float32)
+    away = ((normals @ pose[:3, :3].T) * camera).sum(axis=1) / jnp.linalg.norm(camera, axis=1)
+    front = seen & known & (away < -FACING_AWAY)
+    layers = jnp.concatenate([seen[:, None], front[:, None], colors * front[:, None]], axis=1)
+    cells = jnp.zeros((GRID * GRID + 1, 5)).at[index].add(layers)[:-1].reshape(GRID, GRID, 5)
+    weight = cells[..., 1]
+    color = cells[..., 2:] / jnp.maximum(weight, 1)[..., None]
+    painted = (cells[..., 0] > 0).astype(jnp.float32)
     # Closing: points are sparser than cells here and there.
     shape = -_most(-_most(painted))
     free = 1 - goal.hidden
     both = (shape * goal.mask).sum()
     iou = both / jnp.maximum((shape * free).sum() * (1 + outside) + goal.mask.sum() - both, 1)
-    overlap = painted * goal.mask
+    overlap = (weight > 0) * goal.mask
+    share = overlap.sum() / jnp.maximum((painted * goal.mask).sum(), 1)
     correlation, difference = _agreement(color, goal.color, overlap)
-    return Score(iou + correlation - difference, iou, correlation, difference)
+    return Score(iou + share * (correlation - difference), iou, share, correlation, difference)
 
 
 def _agreement(a: jax.Array, b: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -13,16 +13,9 @@ from toolkit.fusion import Models, RefineTask, Start
 from toolkit.lighting import estimate_light
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.combine import combine
-from toolkit.refiners.compare import (
-    FREE,
-    PLANAR,
-    Search,
-    all_rotations,
-    best_agreement,
-    compare,
-    yaw_rotations,
-)
+from toolkit.refiners.compare import FREE, PLANAR, Search, best_agreement, compare
 from toolkit.refiners.goal import LEVELS_PX, view_goal
+from toolkit.refiners.turns import resting_rotations, yaw_rotations
 from toolkit.refiners.verdict import Verdict, judge
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Abstention, Failure, Float, Refined
@@ -31,8 +24,9 @@ from toolkit.types import Abstention, Failure, Float, Refined
 class RefinerConfig(PluginConfig):
     """Settings of the refiners that compare images."""
 
-    prior: Literal["planar", "none"] = Field(
-        "planar", description="Objects turn about the vertical and slide on the table; or move freely."
+    prior: Literal["planar", "resting", "none"] = Field(
+        "planar",
+        description="Objects turn about the vertical and slide on the table, rest on it on any side, or move freely.",
     )
     patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
     iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
@@ -45,8 +39,10 @@ class RenderCompareConfig(RefinerConfig):
     """Settings of `render_compare`."""
 
     yaws: int = Field(72, ge=4, description="Turns about the vertical that are tried.")
-    tilts: int = Field(
-        26, ge=1, description="Directions that are put up, with prior none; with a third of the yaws each."
+    rests: int = Field(
+        26,
+        ge=1,
+        description="Sides put up without the planar prior, stable ones first, in a third of the yaws each.",
     )
     kept: int = Field(10, ge=2, description="Best hypotheses that are refined, starts included.")
     use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
@@ -70,8 +66,8 @@ class ImageRefiner(Plugin):
         super().__init__(config)
         self._scenes: WeakKeyDictionary[Models, _Scene] = WeakKeyDictionary()
 
-    def search(self) -> Search:
-        """How hypotheses are made."""
+    def search(self, cloud: Cloud) -> Search:
+        """How hypotheses for an object are made."""
         raise NotImplementedError
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
@@ -85,12 +81,12 @@ class ImageRefiner(Plugin):
             return Abstention(
                 "refiner", f"{seen} pixels of the object are in view, at least {self.config.min_pixels} decide"
             )
-        starts, search = self.starts(task), self.search()
-        if not starts and not len(search.rotations):
-            return Failure("refiner", "there is no motion to refine")
         cloud = self._cloud(task)
         if isinstance(cloud, Failure):
             return cloud
+        starts, search = self.starts(task), self.search(cloud)
+        if not starts and not len(search.rotations):
+            return Failure("refiner", "there is no motion to refine")
         goal = view_goal(task.goal, task.segment, task.others)
         found = compare(cloud, goal, [start.T_goal_current for start in starts], search)
         if not found:
@@ -102,7 +98,7 @@ class ImageRefiner(Plugin):
         cloud = self._cloud(task)
         if isinstance(cloud, Failure):
             return None
-        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), self.search())
+        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), self.search(cloud))
 
     def _cloud(self, task: RefineTask) -> Cloud | Failure:
         model = task.models.get(task.instance)
@@ -112,7 +108,8 @@ class ImageRefiner(Plugin):
             self._scenes[task.models] = _Scene(estimate_light(task.models.all()))
         scene = self._scenes[task.models]
         if task.instance not in scene.clouds:
-            scene.clouds[task.instance] = Cloud(model, LEVELS_PX, scene.light)
+            table = None if self.config.prior == "planar" else task.models.table_height(model.center[:2])
+            scene.clouds[task.instance] = Cloud(model, LEVELS_PX, scene.light, table)
         return scene.clouds[task.instance]
 
     def _answer(self, verdict: Verdict, center: Float, free: Float) -> Refined | Failure:
@@ -141,13 +138,13 @@ class RenderCompare(ImageRefiner):
     Config = RenderCompareConfig
     config: RenderCompareConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def search(self) -> Search:
+    def search(self, cloud: Cloud) -> Search:
         """See ImageRefiner."""
         c = self.config
         if c.prior == "planar":
-            return Search(yaw_rotations(c.yaws), PLANAR, c.kept, c.patches, c.iterations)
-        rotations = np.concatenate([yaw_rotations(c.yaws), all_rotations(c.tilts, max(c.yaws // 3, 1))])
-        return Search(rotations, FREE, c.kept, c.patches, c.iterations)
+            return Search(yaw_rotations(c.yaws), PLANAR, False, c.kept, c.patches, c.iterations)
+        rotations = resting_rotations(cloud.points, c.rests, max(c.yaws // 3, 1))
+        return Search(rotations, FREE, c.prior == "resting", c.kept, c.patches, c.iterations)
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
         """See ImageRefiner."""
