@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from usual import usual_stages
 
 from toolkit.cache import Cache, CachedDescriptor
 from toolkit.conformance.scene import current_frames, goal_frame
 from toolkit.descriptors.color_hist import ColorHistogram
 from toolkit.meter import Meter
-from toolkit.pipeline import Pipeline, Stages
-from toolkit.stages import (
-    ASSOCIATORS,
-    INDEXES,
-    MATCHERS,
-    PNP,
-    REFINERS,
-    REGISTRATIONS,
-    RETRIEVERS,
-    SEGMENTERS,
-    AdaptiveDescriptor,
-)
+from toolkit.pipeline import Pipeline
+from toolkit.stages import INDEXES, MATCHERS, AdaptiveDescriptor
 
 
 class Backwards(ColorHistogram):
@@ -48,20 +39,8 @@ class Watched:
 
 
 def pipeline(descriptor, index):
-    return Pipeline(
-        Stages(
-            REGISTRATIONS.create("none"),
-            SEGMENTERS.create("oracle"),
-            SEGMENTERS.create("oracle"),
-            ASSOCIATORS.create("oracle"),
-            descriptor,
-            index,
-            RETRIEVERS.create("instance_vote"),
-            MATCHERS.create("sift", {"crop_size": 128}),
-            PNP.create("poselib"),
-            REFINERS.create("none"),
-        )
-    )
+    matcher = MATCHERS.create("sift", {"crop_size": 128})
+    return Pipeline(usual_stages(descriptor=descriptor, index=index, matcher=matcher))
 
 
 def test_the_map_is_applied_to_database_and_goal_alike():

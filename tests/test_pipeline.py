@@ -4,41 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from usual import usual_stages
 
 from toolkit.database import Database
 from toolkit.errors import ToolkitError
 from toolkit.evaluate import score
 from toolkit.geometry import invert, project
-from toolkit.pipeline import Pipeline, PipelineSettings, Stages
-from toolkit.stages import (
-    ASSOCIATORS,
-    DESCRIPTORS,
-    INDEXES,
-    MATCHERS,
-    PNP,
-    REFINERS,
-    REGISTRATIONS,
-    RETRIEVERS,
-    SEGMENTERS,
-)
+from toolkit.pipeline import Pipeline, PipelineSettings
+from toolkit.stages import RETRIEVERS
 from toolkit.types import Correspondences, Failure, Frame, Matches, PnPSolution, PoseEstimate, Segment
-
-
-def stages(**chosen):
-    oracle = SEGMENTERS.create("oracle")
-    usual = {
-        "registration": REGISTRATIONS.create("none"),
-        "segmenter": oracle,
-        "goal_segmenter": oracle,
-        "associator": ASSOCIATORS.create("oracle"),
-        "descriptor": DESCRIPTORS.create("color_hist"),
-        "index": INDEXES.create("numpy"),
-        "retriever": RETRIEVERS.create("instance_vote"),
-        "matcher": MATCHERS.create("sift"),
-        "pnp": PNP.create("poselib"),
-        "refiner": REFINERS.create("none"),
-    }
-    return Stages(**{**usual, **chosen})
 
 
 def motions(estimates):
@@ -46,13 +20,14 @@ def motions(estimates):
 
 
 def test_the_pipeline_finds_the_motions(capture):
-    rows = score(capture, Pipeline(stages()).run(capture))
+    rows = score(capture, Pipeline(usual_stages()).run(capture))
     assert len(rows) == len(capture.truth)
     assert sum(row.success_sym for row in rows) >= 2
 
 
 def test_the_same_seed_gives_the_same_bytes(capture):
-    assert motions(Pipeline(stages(), seed=4).run(capture)) == motions(Pipeline(stages(), seed=4).run(capture))
+    first, again = (motions(Pipeline(usual_stages(), seed=4).run(capture)) for _ in range(2))
+    assert first == again
 
 
 def test_truth_fed_as_estimate_scores_perfectly(capture):
@@ -74,7 +49,7 @@ def test_every_true_object_has_a_row_even_with_no_estimate(capture):
 @pytest.mark.parametrize("fuse", ["all", "first"])
 @pytest.mark.parametrize("retriever", ["instance_vote", "brute_force"])
 def test_matcher_calls_are_counted(capture, fuse, retriever):
-    chosen = stages(retriever=RETRIEVERS.create(retriever))
+    chosen = usual_stages(retriever=RETRIEVERS.create(retriever))
     pipeline = Pipeline(chosen, PipelineSettings(fuse=fuse))
     database = pipeline.build_database(capture.current)
     for estimate in pipeline.estimate(database, capture.goal):
@@ -84,7 +59,7 @@ def test_matcher_calls_are_counted(capture, fuse, retriever):
 
 
 def test_inliers_reproject_onto_the_goal(capture):
-    for estimate in Pipeline(stages()).run(capture):
+    for estimate in Pipeline(usual_stages()).run(capture):
         if estimate.T_goal_current is None:
             continue
         camera = capture.goal.camera
@@ -96,16 +71,16 @@ def test_inliers_reproject_onto_the_goal(capture):
 
 
 def test_times_are_given_by_stage(capture):
-    for estimate in Pipeline(stages()).run(capture):
+    for estimate in Pipeline(usual_stages()).run(capture):
         assert {"segmenter", "associator", "descriptor", "index", "matcher"} <= set(estimate.time_ms)
         assert all(time >= 0 for time in estimate.time_ms.values())
 
 
 def test_views_are_spread_evenly_and_too_many_is_an_error(capture):
-    two = Pipeline(stages(), PipelineSettings(views=2)).build_database(capture.current)
+    two = Pipeline(usual_stages(), PipelineSettings(views=2)).build_database(capture.current)
     assert [frame.index for frame in two.frames] == [0, 2]
     with pytest.raises(ToolkitError, match="views is 9, but the capture has 4"):
-        Pipeline(stages(), PipelineSettings(views=9)).build_database(capture.current)
+        Pipeline(usual_stages(), PipelineSettings(views=9)).build_database(capture.current)
 
 
 class Blind:
@@ -136,9 +111,9 @@ class Helpless:
 
 def test_failures_are_values_with_stage_and_reason(capture):
     cases = {
-        "matcher": stages(matcher=Blind()),
-        "pnp": stages(pnp=Helpless()),
-        "segmenter": stages(segmenter=Nothing()),
+        "matcher": usual_stages(matcher=Blind()),
+        "pnp": usual_stages(pnp=Helpless()),
+        "segmenter": usual_stages(segmenter=Nothing()),
     }
     for stage, chosen in cases.items():
         estimates = Pipeline(chosen).run(capture)
@@ -149,7 +124,7 @@ def test_failures_are_values_with_stage_and_reason(capture):
 
 
 def test_a_goal_without_objects_gives_no_estimate(capture):
-    assert Pipeline(stages(goal_segmenter=Nothing())).run(capture) == []
+    assert Pipeline(usual_stages(goal_segmenter=Nothing())).run(capture) == []
 
 
 def test_one_object_only(capture):
@@ -157,7 +132,7 @@ def test_one_object_only(capture):
         return replace(frame, true_masks={k: m for k, m in frame.true_masks.items() if k == 0})
 
     single = replace(capture, current=tuple(map(keep, capture.current)), goal=keep(capture.goal))
-    assert len(Pipeline(stages()).run(single)) == 1
+    assert len(Pipeline(usual_stages()).run(single)) == 1
 
 
 def test_a_region_with_no_depth_is_dropped_and_counted(capture):
@@ -165,13 +140,13 @@ def test_a_region_with_no_depth_is_dropped_and_counted(capture):
     depth = frame.depth.copy()
     depth[frame.true_masks[0]] = 0
     holed = replace(frame, depth=depth)
-    database = Pipeline(stages()).build_database([holed, *capture.current[1:]])
-    whole = Pipeline(stages()).build_database(capture.current)
+    database = Pipeline(usual_stages()).build_database([holed, *capture.current[1:]])
+    whole = Pipeline(usual_stages()).build_database(capture.current)
     assert database.dropped == whole.dropped + 1 and len(database) == len(whole) - 1
 
 
 def test_a_database_survives_a_round_trip(capture, tmp_path):
-    pipeline = Pipeline(stages())
+    pipeline = Pipeline(usual_stages())
     database = pipeline.build_database(capture.current)
     database.save(tmp_path / "h.npz")
     loaded = Database.load(tmp_path / "h.npz")

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from usual import usual_stages
 
 from toolkit.assignment import assign_instances, contenders, instance_similarity, restrict
 from toolkit.data.bop import load_capture
@@ -23,7 +24,7 @@ from toolkit.geometry import make_transform, rotation_angle, rotation_z, transfo
 from toolkit.jax_geometry import rotation_exp
 from toolkit.lighting import estimate_light, relit
 from toolkit.metrics import pose_error
-from toolkit.pipeline import Pipeline, PipelineSettings, Stages
+from toolkit.pipeline import Pipeline, PipelineSettings
 from toolkit.refiners import align as alignment
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.combine import _about, combine
@@ -34,35 +35,12 @@ from toolkit.refiners.likeness import unlikeness
 from toolkit.refiners.turns import resting_rotations, yaw_rotations
 from toolkit.refiners.verdict import judge
 from toolkit.regions import lift_segment
-from toolkit.stages import (
-    ASSOCIATORS,
-    DESCRIPTORS,
-    INDEXES,
-    MATCHERS,
-    PNP,
-    REFINERS,
-    REGISTRATIONS,
-    RETRIEVERS,
-    SEGMENTERS,
-)
+from toolkit.stages import REFINERS
 from toolkit.types import Abstention, Failure, Refined, Segment
 
 
 def make_pipeline(refiner, settings=None, **pipeline):
-    oracle = SEGMENTERS.create("oracle")
-    stages = Stages(
-        registration=REGISTRATIONS.create("none"),
-        segmenter=oracle,
-        goal_segmenter=oracle,
-        associator=ASSOCIATORS.create("oracle"),
-        descriptor=DESCRIPTORS.create("color_hist"),
-        index=INDEXES.create("numpy"),
-        retriever=RETRIEVERS.create("instance_vote"),
-        matcher=MATCHERS.create("sift"),
-        pnp=PNP.create("poselib"),
-        refiner=REFINERS.create(refiner, settings),
-    )
-    return Pipeline(stages, PipelineSettings(**pipeline))
+    return Pipeline(usual_stages(refiner=REFINERS.create(refiner, settings)), PipelineSettings(**pipeline))
 
 
 @pytest.fixture(scope="module")
