@@ -18,6 +18,9 @@ _LINE_STEP_M = 0.01
 _JUMP_RAD = 0.4
 """A joint that turns further than this in one step along a line has changed over to another solution."""
 
+_SPARE_M = 0.005
+"""Antipodal grasps open this much wider on each side."""
+
 _LIFTS_M = (0.15, 0.10, 0.06)
 _MOST_MOTIONS = 3
 """Grasps whose free motion is searched for at most."""
@@ -99,6 +102,9 @@ class Reach:
             grasps: on that object, best first.
             T_place_pick: (4, 4) its motion.
         """
+        self._scene.arrange(poses, self._scene.robot.drive)
+        if not self._scene.room(number, T_place_pick @ poses[number]):
+            return Failure("executor", "another object is in the way where it is to be put")
         furthest, searched = 0, 0
         failure: Failure | None = None
         for grasp in grasps:
@@ -120,7 +126,7 @@ class Reach:
     ) -> Lines | int:
         """The straight parts; where they do not work out, how far they came, as an index into `_REASONS`."""
         scene, robot = self._scene, self._scene.robot
-        closed = grasp.opening - 0.01  # antipodal grasps open 5 mm wider on each side
+        closed = grasp.opening - 2 * _SPARE_M
         T_tips_hand = invert(robot.T_hand_tips(max(closed, 0.0)))
         hand = grasp.T_world_gripper @ turn @ T_tips_hand
         back = -self._approach_m * hand[:3, :3] @ robot.model.R_hand_gripper[:, 2]
@@ -130,6 +136,8 @@ class Reach:
         at_grasps = self._solve(hand, q)[:3]
         if at_grasps and not self._solve(place, q):
             return 2
+        if at_grasps and not self._can_be_centred(number, poses, hand[:3, :3] @ robot.model.R_hand_gripper[:, 0]):
+            return 1
         furthest = 0
         for at_grasp in at_grasps:
             scene.arrange(poses, drive)
@@ -157,6 +165,11 @@ class Reach:
                         return Lines(approach[::-1], lift, lower[::-1], retreat)
                     scene.carry(number, scene.object_in_hand(at_grasp, poses[number]))
         return furthest
+
+    def _can_be_centred(self, number: int, poses: Sequence[Float], closing: Float) -> bool:
+        """Say whether the finger that comes first may push the object along (3,) without pushing others."""
+        self._scene.arrange(poses, self._scene.robot.drive)
+        return all(self._scene.room(number, _shifted(poses[number], way * closing)) for way in (_SPARE_M, -_SPARE_M))
 
     def _leaves(self, number: int, T_place_pick: Float, poses: Sequence[Float], retreat: Float, drive: float) -> bool:
         """Say whether the opened hand gets away from the object where it was put."""

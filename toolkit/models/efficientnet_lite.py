@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from toolkit.errors import ToolkitError
 from toolkit.weights.load import read_tensors
@@ -56,10 +57,16 @@ class EfficientNetLite0(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """(N, 3, H, W) normalised colours, H and W multiples of the stride, to (N, width, H / stride, W / stride)."""
+        return self.blocks(image)[-1]
+
+    def blocks(self, image: Tensor) -> list[Tensor]:
+        """The maps after every block."""
+        maps: list[Tensor] = []
         x = self._act(self._bn0(self._conv_stem(self._pad(image))))
         for block in self._blocks:
             x = block(x)
-        return x
+            maps.append(x)
+        return maps
 
     def load_published(self, state: dict[str, Tensor]) -> None:
         """Take the published weights; the stages that are not built, and the classifier, are left out.
@@ -97,6 +104,28 @@ class _Block(nn.Module):
         y = self._act(self._bn1(self._depthwise_conv(self._pad(y))))
         y = self._bn2(self._project_conv(y))
         return x + y if self._residual else y
+
+
+class StackedStages(nn.Module):
+    """Maps of an early, a middle and the last stage of a backbone, averaged over the last one's cells and stacked.
+
+    Late maps say what a thing is, early ones which colour it has: a network trained to name things forgets that.
+    """
+
+    _ENDS = (0, 4)
+    """The blocks that end the stages 1 and 3."""
+
+    def __init__(self, backbone: EfficientNetLite0) -> None:
+        super().__init__()
+        self.backbone = backbone
+        self.width = sum(_STAGES[stage][3] for stage in (0, 2)) + backbone.width
+
+    def forward(self, image: Tensor) -> Tensor:
+        """(N, 3, H, W) normalised colours to (N, width, H / stride, W / stride), stride the last stage's."""
+        maps = self.backbone.blocks(image)
+        last = maps[-1]
+        early = [functional.adaptive_avg_pool2d(maps[i], (last.shape[2], last.shape[3])) for i in self._ENDS]
+        return torch.cat([*early, last], dim=1)
 
 
 def load_efficientnet(path: Path) -> EfficientNetLite0:

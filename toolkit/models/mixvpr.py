@@ -10,7 +10,7 @@ from typing import Any, cast
 from torch import Tensor, nn
 from torch.nn import functional
 
-from toolkit.models.efficientnet_lite import EfficientNetLite0
+from toolkit.models.efficientnet_lite import EfficientNetLite0, StackedStages
 
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -71,13 +71,13 @@ class MixVPRNet(nn.Module):
 
 
 def mixer_lite() -> MixVPR:
-    """The light variant's mixer: 112 channels of 10 x 10 cells to 512 values."""
-    return MixVPR(channels=112, side=10, out_channels=128, out_rows=4)
+    """The light variant's mixer: 168 channels of 10 x 10 cells to 512 values."""
+    return MixVPR(channels=168, side=10, out_channels=128, out_rows=4)
 
 
 def mixvpr_lite(backbone: EfficientNetLite0) -> MixVPRNet:
     """The light variant, on 160 px crops."""
-    return MixVPRNet(backbone, mixer_lite())
+    return MixVPRNet(StackedStages(backbone), mixer_lite())
 
 
 def mixvpr_resnet50() -> MixVPRNet:

@@ -79,6 +79,16 @@ class Clearance:
         self.carried = None
         self._place(self._bodies[number], pose)
 
+    def room(self, number: int, pose: Float) -> bool:
+        """Say whether an object at a (4, 4) pose would touch no other object; it stays there."""
+        body = self._bodies[number]
+        self._place(body, pose)
+        pybullet.performCollisionDetection(physicsClientId=self.client)
+        return not any(
+            contact[8] <= 0 and (contact[2] if contact[1] == body else contact[1]) not in (self.robot.body, self._table)
+            for contact in pybullet.getContactPoints(body, physicsClientId=self.client)
+        )
+
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""
         return self.hit(q) is None

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from toolkit.digests import digest
-from toolkit.models.efficientnet_lite import DEVIATION, MEAN, load_efficientnet
+from toolkit.models.efficientnet_lite import DEVIATION, MEAN, StackedStages, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import mixer_lite
 from toolkit.progress import Progress
@@ -82,7 +82,7 @@ class MixvprTask:
         self, config: MixvprTraining, cache: Path, scans: Path | None, backbone: Path, progress: Progress
     ) -> None:
         self.config = config
-        self._backbone = load_efficientnet(backbone)
+        self._backbone = StackedStages(load_efficientnet(backbone))
         self._cache, self._progress = cache, progress
         pool = procedural_pool(config.pool, cache, progress, held_out=False)
         self._pool = self._maps(pool, config.crops_per_view)
@@ -143,7 +143,7 @@ class MixvprTask:
 
     def _maps(self, pool: Pool, crops: int) -> MapPool:
         """The backbone's maps of a pool, made once."""
-        key = digest([pool.key, crops, self.config.crops.model_dump(mode="json")])[:16]
+        key = digest([pool.key, self._backbone.width, crops, self.config.crops.model_dump(mode="json")])[:16]
         folder = self._cache / "training-pools" / f"maps-{key}"
         if not folder.is_dir():
             self._write_maps(pool, crops, folder)
