@@ -29,7 +29,7 @@ class PluginConfig(BaseModel):
 class Plugin:
     """Base of every stage implementation.
 
-    Class attributes:
+    Attributes:
         stage: the stage it implements, singular, as on the command line.
         name: how users choose it.
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
