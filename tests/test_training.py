@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from toolkit.cli import app
 from toolkit.crops import crop_region
+from toolkit.data.procedural import write_set
 from toolkit.data.procedural.families import FAMILIES
 from toolkit.errors import ToolkitError
 from toolkit.models.efficientnet_lite import EfficientNetLite0
@@ -20,6 +22,7 @@ from toolkit.models.loftr_small import make_loftr_small
 from toolkit.models.mixvpr import mixer_lite
 from toolkit.progress import Progress
 from toolkit.stages import MATCHERS
+from toolkit.training.config import LoftrTraining
 from toolkit.training.export import export
 from toolkit.training.loftr_loss import coarse_log_confidence, fine_loss, focal_loss
 from toolkit.training.multi_similarity import ALPHA, BETA, MARGIN, multi_similarity
@@ -189,6 +192,33 @@ def test_the_loss_falls_and_all_is_written_down(settings, tmp_path):
     assert card["steps"] == 75 and card["size_mb"] < 12 and "held-out" in card["data"]
     assert card["metrics"] and card["machine"] and len(card["sha256"]) == 64
     assert all(t.dtype == torch.float16 for t in load_file(path).values() if t.is_floating_point())
+
+
+def test_a_folder_of_scans_can_be_trained_on_from_the_shipped_network(tmp_path, cache):
+    """Without a step, the shipped network comes out as it went in; a third of the folder is held out."""
+    scans = tmp_path / "scans"
+    write_set(scans, {"mug": 6})
+    settings = read_training("loftr", None, {})
+    data = settings.model_dump() | LOFTR | {"start": "tabletop", "pairs": {"crop_size": 96, "max_angle_deg": 180}}
+    data["loop"] |= {"steps": 1, "learning_rate": 1e-9, "average": 0.0}
+    options = TrainOptions(tmp_path / "out", objects=scans)
+    path = train("loftr", LoftrTraining.model_validate(data), options, Progress())
+    card = yaml.safe_load(path.with_suffix(".yaml").read_text())
+    held_out = sum(is_held_out(f"mug_{i:02d}") for i in range(6))
+    assert card["started_from"]["file"] == "loftr_tabletop.safetensors"
+    assert f"{6 - held_out} objects of 'scans'" in card["data"] and f"held-out ({held_out} objects" in card["data"]
+    shipped = load_file(resolve_weights("loftr-tabletop"))
+    for name, value in load_file(path).items():
+        if "running" not in name and value.is_floating_point():
+            torch.testing.assert_close(value.float(), shipped[name].float(), atol=1e-3, rtol=1e-3)
+    write_set(tmp_path / "few", {"mug": 2})
+    with pytest.raises(ToolkitError, match="put more objects there"):
+        train(
+            "loftr",
+            LoftrTraining.model_validate(data),
+            replace(options, out=tmp_path / "o", objects=tmp_path / "few"),
+            Progress(),
+        )
 
 
 def test_mistakes_are_one_sentence(tmp_path, settings):

@@ -339,6 +339,10 @@ def train(
     config: Annotated[Path | None, typer.Argument(help="A YAML file; the shipped settings when left out.")] = None,
     out: OutOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    train_objects: Annotated[
+        Path | None,
+        typer.Option(help="A folder of scans to train on, a third of which is held out; procedural if not."),
+    ] = None,
     objects: Annotated[Path | None, typer.Option(help="A folder of scans to evaluate on; never trained on.")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores when left out.")] = None,
     settings: Annotated[list[str], typer.Option("--set", help="path.to.key=value of the settings.")] = [],  # noqa: B006
@@ -352,7 +356,7 @@ def train(
     from toolkit.training.run import train as run_training
 
     chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
-    options = TrainOptions(out or Path("runs") / "train" / network, resume, objects, threads or _cores())
+    options = TrainOptions(out or Path("runs") / "train" / network, resume, train_objects, objects, threads or _cores())
     path = run_training(network, read_training(network, config, chosen), options, Progress(Console(stderr=True)))
     Console().print(f"Written: {path}", highlight=False, soft_wrap=True)
 

@@ -29,11 +29,12 @@ class PluginConfig(BaseModel):
 class Plugin:
     """Base of every stage implementation.
 
-    Class attributes:
+    Attributes:
         stage: the stage it implements, singular, as on the command line.
         name: how users choose it.
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
         Config: its settings.
+        weights: names of the weight cards of every checkpoint that its settings can choose.
         cards: cards of its checkpoints that the toolkit does not know; they state the licence.
     """
 
@@ -41,6 +42,7 @@ class Plugin:
     name: ClassVar[str]
     version: ClassVar[str] = "1"
     Config: ClassVar[type[PluginConfig]] = PluginConfig
+    weights: ClassVar[tuple[str, ...]] = ()
     cards: ClassVar[tuple[WeightCard, ...]] = ()
 
     def __init__(self, config: PluginConfig | None = None) -> None:

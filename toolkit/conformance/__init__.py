@@ -1,7 +1,9 @@
 """The checks a plugin must pass, for `toolkit check STAGE NAME` and for a plugin's own tests:
 
 from toolkit.conformance import Conforms
-class TestMine(Conforms): plugin = MyMatcher
+
+class TestMine(Conforms):
+    plugin = MyMatcher
 """
 
 from toolkit.conformance.case import Conforms

@@ -12,7 +12,7 @@ from toolkit.registry import Plugin
 class Conforms:
     """Base of test classes; `toolkit.pytest_plugin` fills in `toolkit_check`.
 
-    Class attributes:
+    Attributes:
         plugin: the class under test.
         settings: settings that differ from its defaults.
     """

@@ -33,6 +33,7 @@ class Gem(Plugin):
     stage = "descriptor"
     name = "gem"
     Config = GemConfig
+    weights = ("efficientnet-lite0",)
     config: GemConfig
     crop_size = 160
 

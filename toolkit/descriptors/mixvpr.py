@@ -39,6 +39,7 @@ class Mixvpr(Plugin):
     stage = "descriptor"
     name = "mixvpr"
     Config = MixvprConfig
+    weights = ("mixvpr-tabletop", "efficientnet-lite0", "mixvpr-resnet50")
     config: MixvprConfig
 
     @property

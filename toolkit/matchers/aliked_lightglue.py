@@ -23,6 +23,7 @@ class AlikedLightGlue(LightGlueMatcher):
 
     name = "aliked_lightglue"
     Config = AlikedConfig
+    weights = ("aliked-n16", "aliked-n16rot", "aliked-lightglue")
     glue = {"input_dim": 128}  # noqa: RUF012
     derived = ("dkd.hw_grid",)
 

@@ -15,6 +15,7 @@ class DiskLightGlue(LightGlueMatcher):
     """DISK (Tyszkiewicz et al., NeurIPS 2020) with LightGlue."""
 
     name = "disk_lightglue"
+    weights = ("disk", "disk-lightglue")
     glue = {"input_dim": 128}  # noqa: RUF012
 
     def checkpoints(self) -> tuple[str, str]:

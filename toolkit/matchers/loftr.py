@@ -64,6 +64,7 @@ class LoftrMatcher(TurningMatcher):
     stage = "matcher"
     name = "loftr"
     Config = LoftrConfig
+    weights = ("loftr-tabletop", "loftr-outdoor", "loftr-indoor_new")
     config: LoftrConfig
 
     @property

@@ -15,6 +15,7 @@ class XFeatLighterGlue(LightGlueMatcher):
     """XFeat with LighterGlue (Potje et al., CVPR 2024): the fastest of the learned matchers on a CPU."""
 
     name = "xfeat_lighterglue"
+    weights = ("xfeat", "xfeat-lighterglue")
     glue = {  # noqa: RUF012
         "input_dim": 64,
         "descriptor_dim": 96,

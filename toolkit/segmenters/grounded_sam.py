@@ -41,6 +41,7 @@ class GroundedSamSegmenter(Plugin):
     stage = "segmenter"
     name = "grounded_sam"
     Config = GroundedSamConfig
+    weights = ("grounding-dino-tiny", "sam-vit-base")
     config: GroundedSamConfig
 
     def check_ready(self) -> None:

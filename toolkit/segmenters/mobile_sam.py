@@ -40,6 +40,7 @@ class MobileSamSegmenter(Plugin):
     stage = "segmenter"
     name = "mobile_sam"
     Config = MobileSamConfig
+    weights = ("mobile_sam-encoder", "mobile_sam-decoder")
     config: MobileSamConfig
 
     def __init__(self, config: PluginConfig | None = None) -> None:

@@ -38,8 +38,9 @@ class LoftrTraining(PluginConfig):
         default=12, ge=2, description="Frames of every scene of the pool that is evaluated on."
     )
     pairs: PairsConfig = PairsConfig()
-    start: Literal["xfeat", "nothing"] = Field(
-        default="xfeat", description="The backbone's first weights: XFeat's published ones, or random."
+    start: Literal["xfeat", "tabletop", "nothing"] = Field(
+        default="xfeat",
+        description="First weights: XFeat's published ones in the backbone, the whole shipped network, or random.",
     )
     backbone_rate: float = Field(
         default=0.1, ge=0, description="Learning rate of XFeat's own layers, as a part of the others'."

@@ -27,8 +27,8 @@ from toolkit.progress import Progress
 from toolkit.training.config import LoftrTraining
 from toolkit.training.loftr_loss import coarse_log_confidence, fine_loss, focal_loss
 from toolkit.training.pairs import Pair, PairSource, Sample, cell_centers
-from toolkit.training.pool import Pool, describe, folder_pool, procedural_pool
-from toolkit.weights.load import read_tensors
+from toolkit.training.pool import Pool, describe, folder_pool, training_pool
+from toolkit.weights.load import fill, read_tensors
 
 _NEAR_PX = 8.0
 """Cells this near to the true place are neither right nor wrong."""
@@ -65,22 +65,29 @@ class LoftrTask:
     Args:
         config: the settings.
         cache: where pools are kept.
+        objects: a folder of scans to train on, or None for procedural objects.
         scans: a folder of scans to evaluate on too, or None.
-        start: XFeat's published weights, where the settings start from them.
+        start: the weights that the settings start from, or None.
         progress: shows the rendering.
 
     Raises:
-        ToolkitError: the starting weights are not XFeat's, or a pool cannot be made.
+        ToolkitError: the starting weights are of another network, or a pool cannot be made.
     """
 
     def __init__(
-        self, config: LoftrTraining, cache: Path, scans: Path | None, start: Path | None, progress: Progress
+        self,
+        config: LoftrTraining,
+        cache: Path,
+        objects: Path | None,
+        scans: Path | None,
+        start: Path | None,
+        progress: Progress,
     ) -> None:
         self.config = config
-        self._start = start
-        self.source = PairSource(procedural_pool(config.pool, cache, progress, held_out=False), config.pairs)
+        self._start, self._objects = start, objects
+        self.source = PairSource(training_pool(config.pool, objects, cache, progress, held_out=False), config.pairs)
         short = config.pool.model_copy(update={"frames": config.held_out_frames})
-        pools: dict[str, Pool] = {"held-out": procedural_pool(short, cache, progress, held_out=True)}
+        pools: dict[str, Pool] = {"held-out": training_pool(short, objects, cache, progress, held_out=True)}
         if scans is not None:
             pools["scans"] = folder_pool(short, scans, cache, progress)
         self._pools = pools
@@ -89,12 +96,14 @@ class LoftrTask:
     @property
     def data(self) -> str:
         """What is trained on, for the card."""
-        return describe(self.source.pool, self._pools, f"{len(self.source)} views with a partner")
+        return describe(self.source.pool, self._pools, f"{len(self.source)} views with a partner", self._objects)
 
     def build(self) -> nn.Module:
         """The network with its first weights."""
         model = make_loftr_small()
-        if self._start is not None:
+        if self._start is not None and self.config.start == "tabletop":
+            fill(model, read_tensors(self._start), self._start, "the toolkit's small LoFTR")
+        elif self._start is not None:
             try:
                 load_xfeat(model, read_tensors(self._start))
             except RuntimeError as error:

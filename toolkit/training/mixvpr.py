@@ -26,7 +26,7 @@ from toolkit.progress import Progress
 from toolkit.training.config import MixvprTraining
 from toolkit.training.multi_similarity import multi_similarity
 from toolkit.training.pairs import augmented_crop
-from toolkit.training.pool import Pool, describe, folder_pool, procedural_pool
+from toolkit.training.pool import Pool, describe, folder_pool, training_pool
 from toolkit.types import Float
 
 
@@ -70,6 +70,7 @@ class MixvprTask:
     Args:
         config: the settings.
         cache: where pools and maps are kept.
+        objects: a folder of scans to train on, or None for procedural objects.
         scans: a folder of scans to evaluate on too, or None.
         backbone: EfficientNet-Lite0's published weights.
         progress: shows rendering and the backbone's work.
@@ -79,19 +80,26 @@ class MixvprTask:
     """
 
     def __init__(
-        self, config: MixvprTraining, cache: Path, scans: Path | None, backbone: Path, progress: Progress
+        self,
+        config: MixvprTraining,
+        cache: Path,
+        objects: Path | None,
+        scans: Path | None,
+        backbone: Path,
+        progress: Progress,
     ) -> None:
         self.config = config
         self._backbone = StackedStages(load_efficientnet(backbone))
         self._cache, self._progress = cache, progress
-        pool = procedural_pool(config.pool, cache, progress, held_out=False)
+        pool = training_pool(config.pool, objects, cache, progress, held_out=False)
         self._pool = self._maps(pool, config.crops_per_view)
         short = config.pool.model_copy(update={"frames": config.held_out_frames})
-        held_out = {"held-out": procedural_pool(short, cache, progress, held_out=True)}
+        held_out = {"held-out": training_pool(short, objects, cache, progress, held_out=True)}
         if scans is not None:
             held_out["scans"] = folder_pool(short, scans, cache, progress)
         self._held_out = {name: self._maps(pool, 1) for name, pool in held_out.items()}
-        self.data = describe(pool, held_out, f"{config.crops_per_view} augmented crop(s) of every view")
+        crops = f"{config.crops_per_view} augmented crop(s) of every view"
+        self.data = describe(pool, held_out, crops, objects)
 
     def build(self) -> nn.Module:
         """The mixer alone: the backbone stays as published."""

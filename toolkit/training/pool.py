@@ -108,22 +108,38 @@ class Pool:
         return rows
 
 
-def describe(trained: Pool, evaluated: Mapping[str, Pool], samples: str) -> str:
+def describe(trained: Pool, evaluated: Mapping[str, Pool], samples: str, folder: Path | None) -> str:
     """What a network was trained and evaluated on, in a sentence for its card."""
+    what = "procedural objects" if folder is None else f"objects of '{folder.name}'"
     others = ", ".join(f"{name} ({len(p.names)} objects, {len(p.views)} views)" for name, p in evaluated.items())
     return (
-        f"{len(trained.names)} procedural objects, {len(trained.views)} rendered views, {samples}; evaluated on objects"
+        f"{len(trained.names)} {what}, {len(trained.views)} rendered views, {samples}; evaluated on objects"
         f" never trained on: {others}"
     )
 
 
 def is_held_out(name: str) -> bool:
-    """Whether a procedural object is kept out of training: a third of all names, the same for ever."""
+    """Whether an object is kept out of training: a third of all names, the same for ever."""
     return hashlib.sha256(f"held out: {name}".encode()).digest()[0] % 3 == 0
 
 
+def training_pool(config: PoolConfig, folder: Path | None, cache: Path, progress: Progress, *, held_out: bool) -> Pool:
+    """The pool of the objects trained on, or of those held out, of a folder of scans; of procedural ones where None.
+
+    Raises:
+        ToolkitError: the folder is not one of scans, or has too few objects.
+    """
+    if folder is None:
+        return procedural_pool(config, cache, progress, held_out=held_out)
+    assets = [a for a in load_object_set(str(folder), cache).assets if is_held_out(a.name) == held_out]
+    if len(assets) < 2:
+        use = "held out, as a third of all names is" if held_out else "left to train on, since a third is held out"
+        raise ToolkitError(f"only {len(assets)} of the objects in '{folder}' are {use}; put more objects there")
+    return _cached(config, assets, cache, progress, "held-out" if held_out else "training")
+
+
 def procedural_pool(config: PoolConfig, cache: Path, progress: Progress, *, held_out: bool) -> Pool:
-    """The pool of the objects trained on, or of those held out; rendered below `cache` when absent."""
+    """The pool of the procedural objects trained on, or of those held out; rendered below `cache` when absent."""
     objects = (
         cache / "objects" / f"training-{config.objects_per_family}-{source_digest('toolkit.data.procedural')[:16]}"
     )

@@ -12,6 +12,7 @@ import cv2
 import torch
 import yaml
 
+from toolkit.data.objects import load_object_set
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
 from toolkit.paths import cache_root
@@ -24,6 +25,9 @@ from toolkit.training.loop import Trainer
 from toolkit.training.mixvpr import MixvprTask
 from toolkit.weights.resolve import file_digest, resolve_weights
 
+_STARTS = {"xfeat": "xfeat", "tabletop": "loftr-tabletop"}
+"""Names of the weight cards that a LoFTR may start from."""
+
 NETWORKS = {"loftr": LoftrTraining, "mixvpr": MixvprTraining}
 
 
@@ -34,12 +38,14 @@ class TrainOptions:
     Attributes:
         out: folder for checkpoint, curves and the exported file.
         resume: go on from the folder's checkpoint.
-        scans: a folder of scans to evaluate on besides the held-out procedural objects; never trained on.
+        objects: a folder of scans to train on in place of procedural objects; a third of them is held out.
+        scans: a folder of scans to evaluate on besides the held-out objects; never trained on.
         threads: of torch.
     """
 
     out: Path
     resume: bool = False
+    objects: Path | None = None
     scans: Path | None = None
     threads: int = 1
 
@@ -91,12 +97,14 @@ def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOp
     identity: dict[str, Any] = {**settings, "loop": {k: v for k, v in settings["loop"].items() if k != "steps"}}
     cache = cache_root()
     if isinstance(config, LoftrTraining):
-        start = resolve_weights("xfeat") if config.start == "xfeat" else None
-        task: Any = LoftrTask(config, cache, options.scans, start, progress)
+        start = resolve_weights(_STARTS[config.start]) if config.start in _STARTS else None
+        task: Any = LoftrTask(config, cache, options.objects, options.scans, start, progress)
     else:
         start = resolve_weights("efficientnet-lite0")
-        task = MixvprTask(config, cache, options.scans, start, progress)
+        task = MixvprTask(config, cache, options.objects, options.scans, start, progress)
     identity["start_sha256"] = file_digest(start) if start else None
+    if options.objects is not None:
+        identity["objects"] = load_object_set(str(options.objects), cache).digest
     trainer = Trainer[Any](task, config.loop, options.out, identity, progress)
     if options.resume:
         trainer.resume()

@@ -1,0 +1,156 @@
+"""A page a stage, from its registry: every implementation with its settings, and the weights it may use."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from toolkit import stages
+from toolkit.registry import Plugin, Registry
+from toolkit.stages import REGISTRIES
+from toolkit.weights.cards import CARDS, WeightCard
+
+_BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<", "multiple_of": "multiple of"}
+
+
+def stage_pages() -> dict[str, str]:
+    """Page -> Markdown: one a stage, and an overview. Only what the toolkit itself brings is listed.
+
+    Raises:
+        ToolkitError: an implementation does not import.
+    """
+    return {"stages/index.md": _overview()} | {f"stages/{_page(r)}": _stage(r) for r in REGISTRIES.values()}
+
+
+def stage_nav() -> list[str | dict[str, str]]:
+    """The pages as a section of the nav."""
+    return ["stages/index.md", *({name: f"stages/{_page(registry)}"} for name, registry in REGISTRIES.items())]
+
+
+def _page(registry: Registry[Any]) -> str:
+    """Plural, as the entry-point group: there is a stage called `index`."""
+    return f"{registry.group.removeprefix('toolkit.')}.md"
+
+
+def _plugins(registry: Registry[Any]) -> Iterator[type[Plugin]]:
+    return (registry.get(entry.name) for entry in registry.entries() if entry.origin == "toolkit")
+
+
+def _protocol(stage: str) -> type:
+    """The Protocol of `stages.py` that the stage's registry is annotated with."""
+    name = next(n for n, value in vars(stages).items() if value is REGISTRIES[stage])
+    found = re.fullmatch(r"Registry\[(\w+)\]", stages.__annotations__[name])
+    assert found is not None, name
+    return getattr(stages, found[1])
+
+
+def _overview() -> str:
+    lines = [
+        "# Stages",
+        "",
+        "Every stage of the pipeline and every implementation the toolkit brings, as the registries had them when this"
+        " site was built. `toolkit list` prints the same and what plugins add; `toolkit show STAGE NAME` prints one.",
+        "",
+        "| stage | what it does | implementations |",
+        "| --- | --- | --- |",
+    ]
+    for stage, registry in REGISTRIES.items():
+        links = ", ".join(f"[`{p.name}`]({_page(registry)}#{p.name})" for p in _plugins(registry))
+        lines.append(f"| [{stage}]({_page(registry)}) | {_cell(_summary(_protocol(stage)))} | {links} |")
+    lines += ["", "## Weights", "", *_weights_table(CARDS.values()), ""]
+    return "\n".join(lines)
+
+
+def _stage(registry: Registry[Any]) -> str:
+    protocol, plugins = _protocol(registry.stage), list(_plugins(registry))
+    lines = [
+        f"# {registry.stage}",
+        "",
+        f"{_summary(protocol)} Its Protocol is [`{protocol.__name__}`][toolkit.stages.{protocol.__name__}]; plugins"
+        f" announce theirs under the entry-point group `{registry.group}`.",
+        "",
+        "| name | what it is | weights |",
+        "| --- | --- | --- |",
+        *(f"| [`{p.name}`](#{p.name}) | {_cell(_summary(p))} | {_licences(p)} |" for p in plugins),
+    ]
+    for plugin in plugins:
+        lines += ["", f"## {plugin.name}", "", inspect.getdoc(plugin) or "", "", *_settings_table(plugin.Config)]
+        if plugin.weights:
+            lines += ["", *_weights_table(CARDS[name] for name in plugin.weights)]
+    return "\n".join(lines) + "\n"
+
+
+def _settings_table(config: type[BaseModel]) -> list[str]:
+    rows = [
+        f"| `{key}` | {_cell(_type(info))} | {_cell(_default(info))} | {_cell(info.description or '')} |"
+        for key, info in _fields(config)
+    ]
+    head = ["| setting | type | default | meaning |", "| --- | --- | --- | --- |"]
+    return [*head, *rows] if rows else ["It has no settings."]
+
+
+def _fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Settings by dotted key; groups are opened."""
+    for key, info in config.model_fields.items():
+        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+            yield from _fields(info.annotation, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", info
+
+
+def _type(info: FieldInfo) -> str:
+    bounds = [f"{sign} {getattr(m, at)}" for m in info.metadata for at, sign in _BOUNDS.items() if hasattr(m, at)]
+    return ", ".join([_type_name(info.annotation), *bounds])
+
+
+def _type_name(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return " or ".join(f"`{value}`" for value in get_args(kind))
+    if kind is type(None):
+        return "none"
+    parts = get_args(kind)
+    if parts and get_origin(kind) is not tuple:
+        return " or ".join(_type_name(part) for part in parts)
+    if parts:
+        return f"({', '.join(_type_name(part) for part in parts)})"
+    return {"Path": "file or folder", "str": "text", "int": "integer", "float": "number", "bool": "yes or no"}.get(
+        kind.__name__, kind.__name__
+    )
+
+
+def _default(info: FieldInfo) -> str:
+    if info.is_required():
+        return "required"
+    # What a factory gives depends on the machine the site is built on.
+    if info.default_factory:
+        return "the machine's best"
+    return "none" if info.default is None else f"`{info.default}`"
+
+
+def _weights_table(cards: Any) -> list[str]:
+    return [
+        "| weights | what they are | licence | MB |",
+        "| --- | --- | --- | --- |",
+        *(f"| `{c.name}`<br>{c.file} | {_cell(c.architecture)} | {_licence(c)} | {c.size_mb:.1f} |" for c in cards),
+    ]
+
+
+def _licences(plugin: type[Plugin]) -> str:
+    return "; ".join(dict.fromkeys(_licence(CARDS[name]) for name in plugin.weights)) or "none"
+
+
+def _licence(card: WeightCard) -> str:
+    return f"{card.licence}{', **non-commercial**' if card.non_commercial else ''}"
+
+
+def _summary(thing: type) -> str:
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
