@@ -252,6 +252,14 @@ def test_no_viewer_opens_without_a_display(monkeypatch, tmp_path):
     assert not open_viewer(tmp_path / "x.rrd")
 
 
+def test_the_viewer_opens_the_recording_where_there_is_a_display(monkeypatch, tmp_path):
+    started = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("toolkit.view.subprocess.Popen", lambda command, **_: started.append(command))
+    assert open_viewer(tmp_path / "x.rrd")
+    assert started == [[sys.executable, "-m", "rerun", str(tmp_path / "x.rrd")]]
+
+
 # Films
 
 
