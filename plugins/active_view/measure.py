@@ -154,7 +154,7 @@ def main() -> None:
     print(
         f"{len(scenes)} scenes, {objects} objects; {np.mean(first):.0%} of a scene's objects are right with one view.\n"
     )
-    print("| order | views needed | more than active | right after two views | less than active, points |")
+    print("| order | views needed | more than active | right after two views | active gains, points |")
     print("| --- | --- | --- | --- | --- |")
     for name, of in views.items():
         low, high = bootstrap_interval(np.array(of, np.float64), scenes, lambda v: float(v.mean()))
