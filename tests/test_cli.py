@@ -42,6 +42,7 @@ MISTAKES = {
     "no such capture": (["estimate", "nowhere"], "does not exist"),
     "a sweep for estimate": (["estimate", "x", "--matcher", "sift", "--matcher", "loftr"], "use `toolkit ablate`"),
     "no such run": (["report", "nowhere"], "is not a run folder"),
+    "no such run to view": (["view", "nowhere"], "neither a run folder (with rows.jsonl) nor a capture folder"),
     "unknown stage": (["list", "matchr"], "did you mean 'matcher'?"),
     "unknown implementation": (["show", "matcher", "lofter"], "did you mean 'loftr'?"),
     "a sweep to attribute": (["ablate", "quick", "--attribute"], "attribution takes one setting"),

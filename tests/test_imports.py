@@ -45,15 +45,14 @@ LAYERS = [
         "comparisons",
         "completion",
         "pictures",
-        "film",
         "sim",
     },
     set(STAGE_FOLDERS),
     {"pipeline", "sight", "episode", "cache", "data", "report"},
     {"executors"},
-    {"experiment", "evaluate", "runs", "doctor"},
+    {"experiment", "evaluate", "runs", "doctor", "recording", "film"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution"},
+    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution", "view"},
     {"pytest_plugin"},
     {"cli"},
 ]
@@ -99,7 +98,7 @@ def test_a_stage_knows_none_of_its_neighbours():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("heavy", ["torch", "jax", "cv2", "numpy", "pybullet", "kornia", "faiss"])
+@pytest.mark.parametrize("heavy", ["torch", "jax", "cv2", "numpy", "pybullet", "kornia", "faiss", "rerun"])
 def test_the_command_line_starts_without(heavy):
     code = f"import sys, toolkit.cli; sys.exit({heavy!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -8,7 +8,7 @@ import pytest
 
 from toolkit.data import noise
 from toolkit.data.bop import load_capture
-from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_capture, cached_dataset, read_dataset
 from toolkit.data.layout import arrange, resting_poses
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, home_camera, ring_cameras
@@ -41,6 +41,15 @@ def test_a_cached_dataset_grows_instead_of_starting_again(cache):
     more = cached_dataset(config.model_copy(update={"scenes": 2}), cache, 1, lambda done, total: built.append(done))
     assert more == folder and built == [1, 2] and len(read_dataset(folder)) == 2
     assert (folder / "000000/goal/rgb/000000.png").stat().st_mtime_ns == first
+
+
+def test_one_scene_of_a_cached_dataset_is_built_alone(cache):
+    config = TabletopConfig(scenes=2, seed=7, **SMALL)
+    capture = cached_capture(config, 1, cache)
+    assert [folder.name for folder in read_dataset(capture.parent)] == ["000001"]
+    before = files(capture)
+    folder = cached_dataset(config, cache)
+    assert capture == folder / "000001" and files(capture) == before and len(read_dataset(folder)) == 2
 
 
 def test_dataset_json_says_how_it_was_made(dataset):

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from toolkit.cache import Cache
 from toolkit.data.bop import load_capture
 from toolkit.data.source import Dataset, open_dataset
@@ -19,7 +17,7 @@ from toolkit.parallel import run_parallel
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.report import write_report
-from toolkit.results import Row, append_rows, read_rows, summarize, write_rows, write_summary
+from toolkit.results import Row, append_rows, best_cell, read_rows, summarize, worst_rows, write_rows, write_summary
 from toolkit.runs import ROWS, finished, open_run, writable, write_meta
 from toolkit.worker import SceneTask, make_runner, require_ready, run_scene, run_scene_in_process
 
@@ -141,9 +139,9 @@ def _draw_worst_cases(
     progress: Progress,
 ) -> None:
     """Pictures of the worst objects of the best cell: that is where the next improvement lies."""
-    best = max(cells, key=lambda cell: np.mean([row.success_sym for row in rows if row.cell == cell.name]))
-    of_best = [row for row in rows if row.cell == best.name and not row.success_sym]
-    worst = sorted(of_best, key=_badness, reverse=True)[:WORST_CASES]
+    name = best_cell(rows)
+    best = next(cell for cell in cells if cell.name == name)
+    worst = worst_rows([row for row in rows if row.cell == name], WORST_CASES)
     if not worst:
         return
     runner = make_runner(best, cache)
@@ -154,7 +152,3 @@ def _draw_worst_cases(
             database = runner.pipeline.build_database(capture.current)
             write_case(run / "pictures", capture, database, runner.pipeline.estimate(database, capture.goal), row)
             advance(1)
-
-
-def _badness(row: Row) -> float:
-    return float("inf") if row.rotation_error_deg_sym is None else row.rotation_error_deg_sym

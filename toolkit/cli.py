@@ -152,7 +152,9 @@ def rearrange(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
     cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
-    film: Annotated[bool, typer.Option("--film", help="Film the first scene: film.mp4 in the run's folder.")] = False,
+    film: Annotated[
+        bool, typer.Option("--film", help="Film the first scene: film.mp4, and film.rrd where rerun is installed.")
+    ] = False,
     *,
     choices: dict[str, Any],
 ) -> None:
@@ -250,6 +252,43 @@ def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
         print_results(read_rows(run / ROWS), console)
         page = write_report(run)
     console.print(f"\nReport: {page}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    target: Annotated[Path, typer.Argument(help="A run folder, or a capture folder.")],
+    scene: Annotated[
+        int | None, typer.Argument(min=0, help="A scene of the run; its worst cases when left out.")
+    ] = None,
+    cell: Annotated[str | None, typer.Option(help="A cell of the run; the best when left out.")] = None,
+    experiment: Annotated[str, typer.Option(help="What estimates a capture.")] = "estimate",
+    plugin: Annotated[list[Path], typer.Option("--plugin", help="A plugin file that is not installed.")] = [],  # noqa: B006
+    save: Annotated[Path | None, typer.Option("--save", help="The .rrd file; it is written and not opened.")] = None,
+) -> None:
+    """Record one scene for Rerun's viewer: frames, models, estimated motions and the truth; and open it."""
+    from rich.console import Console
+
+    from toolkit.experiment import register_plugin_file
+    from toolkit.view import is_capture, open_viewer, view_capture, view_scene, worst_table
+
+    for file in plugin:
+        register_plugin_file(file)
+    console = Console()
+    if is_capture(target):
+        if scene is not None or cell is not None:
+            raise ToolkitError(f"'{target}' is one capture; leave SCENE and --cell out")
+        choices: dict[str, Any] = {**dict.fromkeys(SLOTS, ()), "plugin": (), "set": (), "seed": None}
+        file = save or Path("runs") / "view" / f"{target.resolve().name}.rrd"
+        path = view_capture(target, _single_cell(experiment, choices), file)
+    elif scene is None:
+        console.print(worst_table(target, cell))
+        console.print(f"\nNext: toolkit view {target} SCENE", highlight=False, soft_wrap=True)
+        return
+    else:
+        path = view_scene(target, scene, cell, save)
+    console.print(f"Written: {path}", highlight=False, soft_wrap=True)
+    if save is None and not open_viewer(path):
+        console.print(f"No display here; where there is one: rerun {path}", highlight=False, soft_wrap=True)
 
 
 @app.command("list")

@@ -127,6 +127,19 @@ class Cell:
             resolved["rearrange"] = _resolved(self.rearrange, REARRANGE_SLOTS)
         return resolved
 
+    @classmethod
+    def read(cls, resolved: Mapping[str, Any]) -> Cell:
+        """The cell that `resolved` gave.
+
+        Raises:
+            ToolkitError: a setting does not fit.
+            KeyError: a part is missing.
+        """
+        parts = (resolved["cell"], resolved["settings"], resolved["seed"], resolved["dataset"])
+        pipeline = validated(PipelineChoice, resolved["pipeline"], "pipeline")
+        rearrange = resolved.get("rearrange")
+        return cls(*parts, pipeline, rearrange and validated(RearrangeChoice, rearrange, "rearrange"))
+
 
 def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) -> dict[str, Any]:
     """A part of an experiment with every default of its stages written out."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -19,12 +19,13 @@ from toolkit.digests import digest
 from toolkit.episode import Episode, rearrange
 from toolkit.errors import ToolkitError
 from toolkit.experiment import Cell, Experiment, RearrangeChoice, create_stage, episode_settings, expand
-from toolkit.film import Film, Filmable
+from toolkit.film import Film, Filmable, record_poses
 from toolkit.geometry import invert
 from toolkit.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.parallel import run_parallel
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
+from toolkit.recording import has_rerun
 from toolkit.report import write_completion_report
 from toolkit.results import append_rows, read_rows_as, write_rows, write_summary
 from toolkit.runs import ROWS, finished, open_run, writable, write_meta
@@ -62,7 +63,8 @@ def run_rearrangement(
         experiment: what to run.
         options: how; nothing there changes a row.
         progress: shows a bar.
-        film: film the first scene of the first cell that is still to be done, as film.mp4.
+        film: film the first scene of the first cell that is still to be done: film.mp4, and film.rrd where rerun is
+            installed.
 
     Returns:
         The run's folder, with rows.jsonl, summary.csv, report.html, meta.json and experiment.resolved.yaml.
@@ -156,7 +158,7 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
     choice = _choice(task.cell)
     executor: Executor = create_stage(choice, "executor")
     seed = int(np.random.SeedSequence([task.cell.seed, task.scene_id]).generate_state(1)[0])
-    with closing(executor), _filmed(executor, task.film):
+    with closing(executor), _filmed(executor, task.film, scene):
         episode = rearrange(
             scene, runner.pipeline, create_stage(choice, "planner"), executor, episode_settings(choice), seed
         )
@@ -167,13 +169,14 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
 
 
 @contextmanager
-def _filmed(executor: Executor, path: Path | None) -> Generator[None]:
+def _filmed(executor: Executor, path: Path | None, scene: TabletopScene) -> Generator[None]:
     if path is None:
         yield
         return
     if not isinstance(executor, Filmable):
         raise ToolkitError("this executor cannot be filmed; leave --film out")
-    with Film(executor, path):
+    poses = record_poses(executor, scene, path.with_suffix(".rrd")) if has_rerun() else nullcontext()
+    with poses as on_frame, Film(executor, path, on_frame=on_frame):
         yield
 
 

@@ -182,6 +182,19 @@ def errors(rows: Sequence[Row], field: str) -> Float:
     return np.array([np.inf if value is None else value for value in values], np.float64)
 
 
+def best_cell(rows: Sequence[Row]) -> str:
+    """The cell with the largest share of right objects, the first of equals."""
+    cells = dict.fromkeys(row.cell for row in rows)
+    return max(cells, key=lambda cell: np.mean([row.success_sym for row in rows if row.cell == cell]))
+
+
+def worst_rows(rows: Sequence[Row], count: int) -> list[Row]:
+    """Up to `count` rows that are wrong, those without a motion and those turned furthest off first."""
+    wrong = [row for row in rows if not row.success_sym]
+    off = errors(wrong, "rotation_error_deg_sym")
+    return [wrong[i] for i in np.argsort(-off, kind="stable")[:count]]
+
+
 def _completed(rows: Sequence[Row], field: str) -> list[bool]:
     scenes: dict[int, bool] = {}
     for row in rows:

@@ -19,6 +19,7 @@ from toolkit import __version__
 from toolkit.cache import library_versions
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
+from toolkit.experiment import Cell
 from toolkit.files import write_json, write_text
 from toolkit.results import Row, SceneRow, read_rows_as, write_rows
 
@@ -71,6 +72,20 @@ def finished(run: Path, model: type[SceneRow] = Row) -> set[tuple[str, int]]:
     whole = [row for row in rows if (row.cell, row.scene_id) != (rows[-1].cell, rows[-1].scene_id)]
     write_rows(run / ROWS, whole)
     return {(row.cell, row.scene_id) for row in whole}
+
+
+def read_cells(run: Path) -> list[Cell]:
+    """The cells of a run, as it wrote them down.
+
+    Raises:
+        ToolkitError: the run wrote none down (`toolkit evaluate` does not), or not as this version does.
+    """
+    if not (run / RESOLVED).is_file():
+        raise ToolkitError(f"'{run}' has no {RESOLVED}; only runs of `toolkit ablate` can be made again")
+    try:
+        return [Cell.read(cell) for cell in yaml.safe_load((run / RESOLVED).read_text())["cells"]]
+    except (KeyError, TypeError, yaml.YAMLError) as error:
+        raise ToolkitError(f"'{run / RESOLVED}' is not of this version: {error!r}") from error
 
 
 def rearranges(run: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,24 @@ def cached_dataset(config: TabletopConfig, cache: Path, workers: int = 1, on_sce
         ToolkitError: as `build_dataset`.
     """
     objects = load_object_set(config.objects, cache)
+    folder = _cache_folder(config, objects, cache)
+    _build(config, objects, range(config.scenes), folder, cache, workers, on_scene)
+    return folder
+
+
+def cached_capture(config: TabletopConfig, number: int, cache: Path) -> Path:
+    """One scene of the benchmark in the cache, built where it is missing.
+
+    Raises:
+        ToolkitError: as `build_dataset`.
+    """
+    objects = load_object_set(config.objects, cache)
+    folder = _cache_folder(config, objects, cache)
+    _build(config, objects, [number], folder, cache, 1, None)
+    return folder / f"{number:06d}"
+
+
+def _cache_folder(config: TabletopConfig, objects: ObjectSet, cache: Path) -> Path:
     key = digest(
         {
             "config": config.model_dump(mode="json", exclude={"scenes", "objects"}),
@@ -38,9 +56,7 @@ def cached_dataset(config: TabletopConfig, cache: Path, workers: int = 1, on_sce
             "libraries": {name: version(name) for name in _LIBRARIES},
         }
     )
-    folder = cache / "datasets" / key[:32]
-    _build(config, objects, folder, cache, workers, on_scene)
-    return folder
+    return cache / "datasets" / key[:32]
 
 
 def build_dataset(
@@ -60,7 +76,8 @@ def build_dataset(
     """
     if out.exists() and any(out.iterdir()):
         raise ToolkitError(f"'{out}' is not empty; name a new folder")
-    _build(config, load_object_set(config.objects, cache), out, cache, workers, on_scene)
+    objects = load_object_set(config.objects, cache)
+    _build(config, objects, range(config.scenes), out, cache, workers, on_scene)
     return out
 
 
@@ -79,12 +96,18 @@ def read_dataset(folder: Path) -> list[Path]:
 
 
 def _build(
-    config: TabletopConfig, objects: ObjectSet, folder: Path, cache: Path, workers: int, on_scene: OnScene | None
+    config: TabletopConfig,
+    objects: ObjectSet,
+    numbers: Sequence[int],
+    folder: Path,
+    cache: Path,
+    workers: int,
+    on_scene: OnScene | None,
 ) -> None:
-    missing = [i for i in range(config.scenes) if not (folder / f"{i:06d}").is_dir()]
-    finished = config.scenes - len(missing)
+    missing = [i for i in numbers if not (folder / f"{i:06d}").is_dir()]
+    finished = len(numbers) - len(missing)
     if on_scene:
-        on_scene(finished, config.scenes)
+        on_scene(finished, len(numbers))
     if not missing:
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -93,7 +116,7 @@ def _build(
     for _ in run_parallel(_build_one, tasks, min(workers, len(missing))):
         finished += 1
         if on_scene:
-            on_scene(finished, config.scenes)
+            on_scene(finished, len(numbers))
 
 
 def _build_one(config: TabletopConfig, objects: ObjectSet, number: int, folder: Path, cache: Path) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_capture, cached_dataset, read_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
@@ -68,6 +68,20 @@ def open_dataset(
         folder = cached_dataset(config, cache, workers, _each(advance))
     made = json.loads((folder / "dataset.json").read_text())
     return Dataset(tuple(read_dataset(folder)[: config.scenes]), made)
+
+
+def open_capture(settings: Mapping[str, Any], cache: Path, scene_id: int) -> Path:
+    """Find or build one capture of a dataset; the arguments are those of `open_dataset`.
+
+    Raises:
+        ToolkitError: as `open_dataset`; there are fewer captures.
+    """
+    if "path" not in settings:
+        return cached_capture(TabletopConfig.model_validate(settings), scene_id, cache)
+    captures = _existing(settings).captures
+    if scene_id >= len(captures):
+        raise ToolkitError(f"'{settings['path']}' holds {len(captures)} captures, none of number {scene_id}")
+    return captures[scene_id]
 
 
 def _existing(settings: Mapping[str, Any]) -> Dataset:
