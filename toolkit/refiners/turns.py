@@ -17,6 +17,9 @@ _SAME_REST = np.cos(np.radians(12))
 _SUPPORT_M = 0.003
 """Corners this near to the lowest one carry the object."""
 
+_LEAST_M3 = 1e-9
+"""A hull of less than a cubic millimetre has no inside."""
+
 _SPHERE = 256
 
 
@@ -59,6 +62,8 @@ def _stable(points: Float) -> Float:
     try:
         hull = trimesh.convex.convex_hull(points[first])
     except QhullError:
+        return np.zeros((0, 3))
+    if hull.volume < _LEAST_M3:
         return np.zeros((0, 3))
     center, corners = np.asarray(hull.center_mass), np.asarray(hull.vertices)
     away = np.asarray(hull.triangles_center) - center
