@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from usual import USUAL
 
 from toolkit.ablate import RunOptions, run_experiment
 from toolkit.completion import MoveRow, summarize_completion
@@ -30,18 +31,7 @@ from toolkit.sight import SightSettings, correct, look
 from toolkit.stages import PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment
 
-PIPELINE = {
-    "segmenter": "oracle",
-    "goal_segmenter": "oracle",
-    "associator": "oracle",
-    "descriptor": "color_hist",
-    "index": "numpy",
-    "retriever": "instance_vote",
-    "matcher": "sift",
-    "pnp": "poselib",
-    "refiner": "render_compare",
-    "assignment": "global",
-}
+PIPELINE = USUAL | {"refiner": "render_compare", "assignment": "global"}
 CONFIG = TabletopConfig(scenes=1, min_objects=3, max_objects=3, views=3, seed=3, renderer="tiny", supersample=1)
 
 

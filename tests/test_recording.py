@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from usual import USUAL
 
 from toolkit.ablate import RunOptions, run_experiment
 from toolkit.data.objects import load_object_set
@@ -26,17 +27,6 @@ from toolkit.regions import lift_segment
 from toolkit.results import Row, best_cell, worst_rows
 from toolkit.types import Failure, PoseEstimate, Segment
 from toolkit.view import open_viewer, view_capture, view_scene, worst_table
-
-PIPELINE = {
-    "segmenter": "oracle",
-    "goal_segmenter": "oracle",
-    "associator": "oracle",
-    "descriptor": "color_hist",
-    "index": "numpy",
-    "retriever": "instance_vote",
-    "matcher": "sift",
-    "pnp": "poselib",
-}
 
 
 @pytest.fixture
@@ -178,7 +168,7 @@ def run(tmp_path_factory):
     data = {
         "name": "small",
         "dataset": {"scenes": 2, "min_objects": 2, "max_objects": 2, "views": 3, "supersample": 1, "renderer": "tiny"},
-        "pipeline": PIPELINE,
+        "pipeline": USUAL,
         "sweep": {"pipeline.views": ["all", 1]},
     }
     (folder / "small.yaml").write_text(yaml.safe_dump(data))

@@ -5,32 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 from toolkit.pipeline import Stages
-from toolkit.stages import (
-    ASSOCIATORS,
-    DESCRIPTORS,
-    INDEXES,
-    MATCHERS,
-    PNP,
-    REFINERS,
-    REGISTRATIONS,
-    RETRIEVERS,
-    SEGMENTERS,
-)
+from toolkit.slots import SLOTS
+from toolkit.stages import REGISTRIES
+
+USUAL = {
+    "segmenter": "oracle",
+    "goal_segmenter": "oracle",
+    "associator": "oracle",
+    "descriptor": "color_hist",
+    "index": "numpy",
+    "retriever": "instance_vote",
+    "matcher": "sift",
+    "pnp": "poselib",
+}
+"""What stands under `pipeline` in the experiments of tests."""
 
 
 def usual_stages(**chosen: Any) -> Stages:
     """The usual stages, some of them replaced."""
-    oracle = SEGMENTERS.create("oracle")
-    usual = {
-        "registration": REGISTRATIONS.create("none"),
-        "segmenter": oracle,
-        "goal_segmenter": oracle,
-        "associator": ASSOCIATORS.create("oracle"),
-        "descriptor": DESCRIPTORS.create("color_hist"),
-        "index": INDEXES.create("numpy"),
-        "retriever": RETRIEVERS.create("instance_vote"),
-        "matcher": MATCHERS.create("sift"),
-        "pnp": PNP.create("poselib"),
-        "refiner": REFINERS.create("none"),
-    }
-    return Stages(**usual | chosen)
+    left = {slot: stage for slot, stage in SLOTS.items() if slot not in chosen}
+    return Stages(**{slot: REGISTRIES[stage].create(USUAL.get(slot, "none")) for slot, stage in left.items()}, **chosen)

@@ -137,11 +137,9 @@ class Models:
     def _table(self) -> Float | None:
         frames = self._database.frames
         try:
-            planes = fit_planes(frames)
+            return table_frame(frames, fit_planes(frames))
         except ToolkitError:
             return None
-        seen = [(frame, plane) for frame, plane in zip(frames, planes, strict=True) if plane is not None]
-        return table_frame([frame for frame, _ in seen], [plane for _, plane in seen])
 
     def all(self) -> list[FusedModel]:
         """The models of all instances that have one."""

@@ -155,13 +155,13 @@ def on_plane(plane: Plane, frame: Frame, tolerance: float = 4.0) -> Mask:
         return np.abs(1 / frame.depth - expected) < reach
 
 
-def table_frame(frames: Sequence[Frame], planes: Sequence[Plane]) -> Float:
+def table_frame(frames: Sequence[Frame], planes: Sequence[Plane | None]) -> Float:
     """(4, 4) T_world_table: z = 0 is the table, z points up from it; the median of what (F,) frames' planes say."""
-    poses = np.array([frame.camera.T_world_camera for frame in frames])
-    normals = np.array([T[:3, :3] @ plane.normal for T, plane in zip(poses, planes, strict=True)])
+    seen = [(frame.camera.T_world_camera, p) for frame, p in zip(frames, planes, strict=True) if p is not None]
+    normals = np.array([T[:3, :3] @ plane.normal for T, plane in seen])
     up = np.median(normals, axis=0)
     up /= np.linalg.norm(up)
-    levels = [T[:3, 3] @ n - plane.camera_height for T, n, plane in zip(poses, normals, planes, strict=True)]
+    levels = [T[:3, 3] @ n - plane.camera_height for (T, plane), n in zip(seen, normals, strict=True)]
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     side /= np.linalg.norm(side)
     T = np.eye(4)

@@ -20,11 +20,11 @@ from sklearn.linear_model import LogisticRegression
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.experiment import create_stage, expand, load_experiment, own_settings
+from toolkit.experiment import expand, load_experiment
 from toolkit.fusion import FusedModel, Models, Start
 from toolkit.lighting import estimate_light
 from toolkit.metrics import PoseError, assign_goal_objects, pose_error
-from toolkit.pipeline import Pipeline, Stages, starts_of
+from toolkit.pipeline import starts_of
 from toolkit.refiners.cloud import Cloud
 from toolkit.refiners.combine import agreeing
 from toolkit.refiners.compare import Hypothesis, compare
@@ -32,8 +32,8 @@ from toolkit.refiners.confidence import features
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.likeness import unlikeness
 from toolkit.refiners.render_compare import RenderCompare
-from toolkit.slots import SLOTS
 from toolkit.types import Float
+from toolkit.worker import make_runner
 
 EXPECTED_WRONG = 0.06
 BINS = (0.0, 0.2, 0.5, 0.8, 0.9, 0.95, 1.0)
@@ -45,8 +45,7 @@ MATCHES_ONLY = {f"pipeline.{slot}": ["oracle"] for slot in ("segmenter", "goal_s
 def samples(capture_folder: Path) -> list[list[float]]:
     """Rows of features and whether the hypothesis is right, for every object of a capture."""
     cell = expand(load_experiment("estimate", MATCHES_ONLY))[0]
-    stages = Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS})
-    pipeline = Pipeline(stages, own_settings(cell.pipeline))
+    pipeline = make_runner(cell, None).pipeline
     capture = load_capture(capture_folder)
     database = pipeline.build_database(capture.current)
     assert capture.truth is not None and capture.goal.true_masks is not None

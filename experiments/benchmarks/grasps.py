@@ -17,16 +17,15 @@ from rich.progress import track
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.executors.kinematic import Kinematic
-from toolkit.experiment import create_stage, expand, load_experiment, own_settings
+from toolkit.experiment import expand, load_experiment
 from toolkit.fusion import FusedModel, fuse
 from toolkit.grasps.antipodal import Antipodal
 from toolkit.moves import PickPlace
 from toolkit.paths import cache_root
-from toolkit.pipeline import Pipeline, Stages
 from toolkit.sim.lift import lifted_height
-from toolkit.slots import SLOTS
 from toolkit.stats import wilson_interval
 from toolkit.types import Failure
+from toolkit.worker import make_runner
 
 ORACLES = {"pipeline.segmenter": ["oracle"], "pipeline.associator": ["oracle"]}
 LIFTED_M = 0.02
@@ -42,9 +41,7 @@ def main() -> None:
     options = parser.parse_args()
 
     cell = expand(load_experiment("rearrange", ORACLES))[0]
-    pipeline = Pipeline(
-        Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS}), own_settings(cell.pipeline)
-    )
+    pipeline = make_runner(cell, None).pipeline
     grasper = Antipodal()
     gripper = grasper.config.gripper
     finger = np.array([gripper.finger_thickness_m, gripper.finger_width_m, gripper.finger_length_m])

@@ -23,15 +23,15 @@ from rich.progress import track
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.database import Database
-from toolkit.experiment import create_stage, expand, load_experiment, own_settings
+from toolkit.experiment import expand, load_experiment
 from toolkit.fusion import FusedModel, fuse
-from toolkit.pipeline import Pipeline, Stages
+from toolkit.pipeline import Pipeline
 from toolkit.refiners import cloud
 from toolkit.refiners.compare import compare
 from toolkit.refiners.goal import LEVELS_PX, view_goal
 from toolkit.refiners.render_compare import RenderCompare, RenderCompareConfig
-from toolkit.slots import SLOTS
 from toolkit.types import Frame, Segment
+from toolkit.worker import make_runner
 
 
 def timed(call: Callable[[], Any], repeats: int) -> float:
@@ -83,8 +83,7 @@ def main() -> None:
     options = parser.parse_args()
 
     cell = expand(load_experiment("render_compare"))[0]
-    stages = Stages(**{slot: create_stage(cell.pipeline, slot) for slot in SLOTS})
-    pipeline = Pipeline(stages, own_settings(cell.pipeline))
+    pipeline = make_runner(cell, None).pipeline
     names = ["render_compare", *(f"{n} yaws" for n in (18, 36, 144)), "prior none"]
     settings = [{}, *({"yaws": n} for n in (18, 36, 144)), {"prior": "none"}]
     refiners = [RenderCompare(RenderCompareConfig.model_validate(chosen)) for chosen in settings]

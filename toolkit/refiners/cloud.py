@@ -70,9 +70,8 @@ class Cloud:
         rows = _evenly(model.points, SHAPE_POINTS)
         self.table = float(model.points[:, 2].min()) if table is None else table
         bottom = np.zeros((0, 3)) if table is None else _bottom(model.points, table)
-        filled = _spread(len(bottom), BOTTOM_POINTS) if len(bottom) else np.zeros(0, np.int64)
+        below = bottom[_spread(len(bottom), BOTTOM_POINTS)] if len(bottom) else model.points[rows[:BOTTOM_POINTS]]
         none = np.zeros((BOTTOM_POINTS, 3), np.float32)
-        below = bottom[filled] if len(bottom) else model.points[rows[:BOTTOM_POINTS]]
         self.points = (np.concatenate([model.points[rows], below]) - self.center).astype(np.float32)
         self.colors = np.concatenate([opponent(model.colors[rows]), none])
         self.normals = np.concatenate([model.normals_at(rows), none])
@@ -144,12 +143,12 @@ def _bottom(points: Float, table: float) -> Float:
 
 def _evenly(points: Float, want: int) -> np.ndarray:
     """(want,) rows of (N, 3) points, one a cube as far as they go round: oblique views leave fewer points behind."""
-    order = np.random.default_rng(0).permutation(len(points))
     if len(points) <= want:
         return np.arange(want) % len(points)
-    side, low = _FINEST_M, points.min(axis=0)
+    order = np.random.default_rng(0).permutation(len(points))
+    side, offset = _FINEST_M, points[order] - points.min(axis=0)
     while True:
-        cubes = np.floor((points[order] - low) / side).astype(np.int64) @ [1, 1 << 20, 1 << 40]
+        cubes = np.floor(offset / side).astype(np.int64) @ [1, 1 << 20, 1 << 40]
         first = np.unique(cubes, return_index=True)[1]
         if len(first) <= want:
             break

@@ -53,7 +53,7 @@ class _Scene:
     """What is kept of a scene while its models live; nothing in it may refer to those, or they would live for ever."""
 
     light: Float
-    clouds: dict[int, Cloud] = field(default_factory=dict[int, Cloud])
+    clouds: dict[int, tuple[Cloud, Search]] = field(default_factory=dict[int, tuple[Cloud, Search]])
 
 
 class ImageRefiner(Plugin):
@@ -81,10 +81,10 @@ class ImageRefiner(Plugin):
             return Abstention(
                 "refiner", f"{seen} pixels of the object are in view, at least {self.config.min_pixels} decide"
             )
-        cloud = self._cloud(task)
-        if isinstance(cloud, Failure):
-            return cloud
-        starts, search = self.starts(task), self.search(cloud)
+        prepared = self._prepared(task)
+        if isinstance(prepared, Failure):
+            return prepared
+        (cloud, search), starts = prepared, self.starts(task)
         if not starts and not len(search.rotations):
             return Failure("refiner", "there is no motion to refine")
         goal = view_goal(task.goal, task.segment, task.others)
@@ -95,12 +95,14 @@ class ImageRefiner(Plugin):
 
     def verify(self, task: RefineTask) -> float | None:
         """See Refiner."""
-        cloud = self._cloud(task)
-        if isinstance(cloud, Failure):
+        prepared = self._prepared(task)
+        if isinstance(prepared, Failure):
             return None
-        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), self.search(cloud))
+        cloud, search = prepared
+        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), search)
 
-    def _cloud(self, task: RefineTask) -> Cloud | Failure:
+    def _prepared(self, task: RefineTask) -> tuple[Cloud, Search] | Failure:
+        """The instance's cloud and the hypotheses for it, made once a scene."""
         model = task.models.get(task.instance)
         if isinstance(model, Failure):
             return model
@@ -109,7 +111,8 @@ class ImageRefiner(Plugin):
         scene = self._scenes[task.models]
         if task.instance not in scene.clouds:
             table = None if self.config.prior == "planar" else task.models.table_height(model.center[:2])
-            scene.clouds[task.instance] = Cloud(model, LEVELS_PX, scene.light, table)
+            cloud = Cloud(model, LEVELS_PX, scene.light, table)
+            scene.clouds[task.instance] = cloud, self.search(cloud)
         return scene.clouds[task.instance]
 
     def _answer(self, verdict: Verdict, center: Float, free: Float) -> Refined | Failure:

@@ -120,12 +120,11 @@ def find_tabletop(frames: Sequence[Frame]) -> Tabletop:
     if not frames:
         raise ToolkitError("cameras are registered by the table in the current frames, and there is no frame")
     planes = fit_planes(frames)
-    found = [(frame, plane) for frame, plane in zip(frames, planes, strict=True) if plane is not None]
     masks = [
         np.zeros(frame.rgb.shape[:2], bool) if plane is None else on_plane(plane, frame)
         for frame, plane in zip(frames, planes, strict=True)
     ]
-    T = table_frame([frame for frame, _ in found], [plane for _, plane in found])
+    T = table_frame(frames, planes)
     T[:3, 3] = _middle(T, frames, masks)
     return Tabletop(T, tuple(masks))
 

@@ -84,10 +84,7 @@ class Clearance:
         body = self._bodies[number]
         self._place(body, pose)
         pybullet.performCollisionDetection(physicsClientId=self.client)
-        return not any(
-            contact[8] <= 0 and (contact[2] if contact[1] == body else contact[1]) not in (self.robot.body, self._table)
-            for contact in pybullet.getContactPoints(body, physicsClientId=self.client)
-        )
+        return self._neighbour(body) is None
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""
@@ -110,12 +107,19 @@ class Clearance:
                 return self._name(other)
         if self.carried is None:
             return None
-        for contact in pybullet.getContactPoints(self.carried, physicsClientId=self.client):
-            other = contact[2] if contact[1] == self.carried else contact[1]
-            if contact[8] <= 0 and other not in (self.robot.body, self._table):
-                return self._name(other)
+        neighbour = self._neighbour(self.carried)
+        if neighbour is not None:
+            return self._name(neighbour)
         low = pybullet.getAABB(self.carried, physicsClientId=self.client)[0][2]
         return "the table" if low < self._lowest else None
+
+    def _neighbour(self, body: int) -> int | None:
+        """Another object that an object touches."""
+        for contact in pybullet.getContactPoints(body, physicsClientId=self.client):
+            other = contact[2] if contact[1] == body else contact[1]
+            if contact[8] <= 0 and other not in (self.robot.body, self._table):
+                return int(other)
+        return None
 
     def _name(self, body: int) -> str:
         return "the table" if body == self._table else f"object {self._bodies.index(body)}"
