@@ -28,12 +28,13 @@ STAGE_FOLDERS = (
 )
 
 LAYERS = [
-    {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
+    {"errors", "slots", "paths", "meter", "progress", "files"},
     {"geometry", "jax_geometry"},
     {"types"},
     {"footprints"},
     {"moves"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
+    {"parallel"},
     {
         "stages",
         "database",
@@ -53,8 +54,9 @@ LAYERS = [
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution"},
+    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution", "merge"},
     {"pytest_plugin"},
+    {"options"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

@@ -14,6 +14,7 @@ from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, home_camera, ring_cameras
 from toolkit.errors import ToolkitError
 from toolkit.geometry import rotation_angle
+from toolkit.parallel import open_workers
 from toolkit.sim.bullet import best_renderer
 
 NO_EGL = pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")
@@ -26,8 +27,9 @@ def files(folder):
 
 def test_a_scene_is_the_same_whatever_else_is_built(cache, tmp_path):
     config = TabletopConfig(scenes=3, seed=5, **SMALL)
-    alone = build_dataset(config, tmp_path / "alone", cache, workers=1)
-    together = build_dataset(config.model_copy(update={"scenes": 2}), tmp_path / "together", cache, workers=2)
+    alone = build_dataset(config, tmp_path / "alone", cache)
+    with open_workers(2) as workers:
+        together = build_dataset(config.model_copy(update={"scenes": 2}), tmp_path / "together", cache, workers)
     for scene in ("000000", "000001"):
         assert files(alone / scene) == files(together / scene)
     assert files(alone / "000000") != files(alone / "000001")
