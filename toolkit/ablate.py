@@ -120,11 +120,13 @@ def _draw_worst_cases(
     runner = make_runner(best, cache)
     captures = datasets[_dataset_key(best)].captures
     with progress.step("Drawing the worst cases", len(worst)) as advance:
-        for row in worst:
-            capture = load_capture(captures[row.scene_id])
+        for scene_id in dict.fromkeys(row.scene_id for row in worst):
+            capture = load_capture(captures[scene_id])
             database = runner.pipeline.build_database(capture.current)
-            write_case(run / "pictures", capture, database, runner.pipeline.estimate(database, capture.goal), row)
-            advance(1)
+            estimates = runner.pipeline.estimate(database, capture.goal)
+            for row in (row for row in worst if row.scene_id == scene_id):
+                write_case(run / "pictures", capture, database, estimates, row)
+                advance(1)
 
 
 def _badness(row: Row) -> float:

@@ -41,7 +41,8 @@ def with_experiment_options(command: Callable[..., None], slots: Iterable[str] =
 
 def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of `run_options` to a command that runs an experiment; it receives them as `run`."""
-    parameters = inspect.signature(run_options, eval_str=True).parameters
+    # RunOptions is not imported before a command needs it; of the signature only the parameters matter.
+    parameters = inspect.signature(run_options, eval_str=True, locals={"RunOptions": object}).parameters
     return _with_options(command, [p for name, p in parameters.items() if name != "choices"], "run")
 
 

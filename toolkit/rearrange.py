@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from toolkit.cache import Cache
 from toolkit.completion import MoveRow, summarize_completion
 from toolkit.data.dataset import object_set
-from toolkit.data.objects import ObjectSet
 from toolkit.data.tabletop import TabletopConfig, TabletopScene, draw_scene
 from toolkit.digests import digest
 from toolkit.episode import Episode, rearrange
@@ -115,7 +113,7 @@ def _check(cell: Cell) -> None:
         create_stage(_choice(cell), slot).check_ready()
     config = _config(cell)
     # The first scene shows whether the objects are there and the table holds them.
-    draw_scene(config, _objects(config.objects), 0, cache_root())
+    draw_scene(config, object_set(config.objects, cache_root()), 0, cache_root())
 
 
 def _choice(cell: Cell) -> RearrangeChoice:
@@ -127,11 +125,6 @@ def _config(cell: Cell) -> TabletopConfig:
     return TabletopConfig.model_validate(cell.dataset)
 
 
-@lru_cache(maxsize=4)
-def _objects(source: str) -> ObjectSet:
-    return object_set(source, cache_root())
-
-
 def run_scene(task: MoveTask) -> list[MoveRow]:
     """Rearrange one scene and measure where everything ended.
 
@@ -139,7 +132,7 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
         ToolkitError: a stage refuses its input.
     """
     config = _config(task.cell)
-    scene = draw_scene(config, _objects(config.objects), task.scene_id, cache_root())
+    scene = draw_scene(config, object_set(config.objects, cache_root()), task.scene_id, cache_root())
     runner = get_runner(task.cell, task.cache)
     choice = _choice(task.cell)
     executor: Executor = create_stage(choice, "executor")

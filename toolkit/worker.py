@@ -23,7 +23,7 @@ from toolkit.cache import (
     library_versions,
     plugin_identity,
 )
-from toolkit.data.bop import load_capture
+from toolkit.data.bop import capture_digest, load_capture
 from toolkit.digests import digest, package_digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.evaluate import score
@@ -136,13 +136,15 @@ def run_scene(task: SceneTask) -> tuple[SceneTask, list[Row]]:
     Raises:
         ToolkitError: the capture cannot be read, or a stage refuses its input.
     """
-    capture = load_capture(task.capture)
+    capture: Capture | None = None  # decoded when a cell's rows are not in the cache
+    content = capture_digest(task.capture)
     rows: list[Row] = []
     for cell in task.cells:
         runner = get_runner(cell, task.cache)
-        key = digest([runner.identity, capture.digest, task.scene_id])
+        key = digest([runner.identity, content, task.scene_id])
         stored = task.cache.load(key) if task.cache else None
         if stored is None:
+            capture = capture or load_capture(task.capture)
             fresh = runner.rows(capture, task.scene_id)
             if task.cache:
                 task.cache.store(key, {"rows": np.array([row.model_dump_json() for row in fresh], dtype=np.str_)})
@@ -193,7 +195,7 @@ class WorkerSetup:
 @lru_cache(maxsize=1)
 def _prepare(setup: WorkerSetup) -> None:
     if setup.source != package_digest():
-        raise ToolkitError("a worker has another version of the toolkit than this machine; install the same on both")
+        raise ToolkitError("a worker has other toolkit code than this run began with; install the same everywhere")
     own = library_versions()
     differing = [f"{name} {own[name]} for {there}" for name, there in setup.libraries if own[name] != there]
     if differing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -96,6 +96,7 @@ def read_dataset(folder: Path) -> list[Path]:
     return captures
 
 
+@lru_cache(maxsize=4)
 def object_set(source: str, cache: Path) -> ObjectSet:
     """The object set, as `load_object_set`; its files have absolute paths, which workers open from any folder."""
     procedural = source == "procedural"
