@@ -171,7 +171,8 @@ def test_a_cluster_that_is_not_there_is_one_sentence(case, monkeypatch):
     (backend, address), said = MISTAKES[case]
     if backend in ("dask", "ray"):
         pytest.importorskip("distributed" if backend == "dask" else "ray")
-        monkeypatch.setattr(f"toolkit.parallel.{backend}._PATIENCE_S", 2)
+    if backend == "dask":
+        monkeypatch.setattr("toolkit.parallel.dask._PATIENCE_S", 2)
     with pytest.raises(ToolkitError) as error, open_workers(2, backend, address):
         pass
     assert said in str(error.value) and "\n" not in str(error.value)

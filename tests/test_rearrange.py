@@ -27,7 +27,6 @@ from toolkit.regions import lift_segment
 from toolkit.report.completion_page import failure_table
 from toolkit.results import read_rows_as
 from toolkit.runs import RunOptions
-from toolkit.runs import RunOptions
 from toolkit.sight import SightSettings, correct, look
 from toolkit.stages import PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment

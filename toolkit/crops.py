@@ -36,4 +36,5 @@ def crop_region(rgb: Image, segment: Segment, size: int, margin: float = 0.05) -
     interpolation = cv2.INTER_LINEAR if scale < 1 else cv2.INTER_CUBIC
     image = cv2.warpAffine(masked, to_crop, (size, size), flags=interpolation)
     covered = cv2.warpAffine(inside, to_crop, (size, size), flags=cv2.INTER_NEAREST)
-    return Crop(cv2.bitwise_and(image, image, mask=covered), covered > 0, scale, origin)
+    cut = np.asarray(cv2.bitwise_and(image, image, mask=covered), np.uint8)
+    return Crop(cut, np.asarray(covered > 0), scale, origin)

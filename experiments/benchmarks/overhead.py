@@ -1,9 +1,9 @@
 """What the framework adds to the stages' time in an experiment; prints Markdown.
 
-`stages` is the time inside the stages as the rows state it (`time_ms`): with the cropping of what they get, the lifting of
-what they return, and the cache around them. `own code` is the part inside methods of the stages' classes. The framework's
-is the wall time without `stages`: reading captures, scoring, rows, pictures, summary, report. One process; scenes are
-built, and everything is imported, before the clock starts.
+`stages` is the time inside the stages as the rows state it (`time_ms`): with the cropping of what they get, the lifting
+of what they return, and the cache around them. `own code` is the part inside methods of the stages' classes. The rest is
+the framework's: reading captures, scoring, rows, pictures, summary, report. One process; scenes are built, and everything
+is imported, before the clock starts.
 
 python experiments/benchmarks/overhead.py quick --scenes 20
 """
@@ -114,9 +114,7 @@ def main() -> None:
         # What is imported, and the fonts of plots, on first use.
         measure(load_experiment(options.experiment, {"dataset.scenes": [1]}), clocks, root / "first", use_cache=False)
         print(f"{options.experiment}, {options.scenes} scenes, {len(cells)} cells, one process\n")
-        print(
-            "| run | wall, s | stages, s | own code, s | framework, s | % of wall |\n| --- | --- | --- | --- | --- | --- |"
-        )
+        print("| run | wall, s | stages, s | own code, s | framework, s | % of wall |\n|" + 6 * " --- |")
         for mode, use_cache in MODES.items():
             profile = cProfile.Profile() if mode == options.profile else None
             if profile:
@@ -126,7 +124,7 @@ def main() -> None:
             print(f"| {mode} | {wall:.1f} | {inside:.1f} | {code:.1f} | {rest:.1f} | {rest / wall:.1%} |", flush=True)
             if profile:
                 profile.disable()
-                pstats.Stats(profile, stream=sys.stderr).sort_stats("tottime").print_stats(45)
+                pstats.Stats(profile, stream=sys.stderr).sort_stats("cumulative").print_stats(90)
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ def _load_frame(
         raise ToolkitError(f"{where}: {error}") from error
     depth = _load_depth(scene, index, float(camera.get("depth_scale", 1.0)), (height, width), needs_depth)
     masks = None if instances is None else _load_masks(scene, index, instances, (height, width))
-    return Frame(index, rgb, model, depth, masks)
+    return Frame(index, np.asarray(rgb, np.uint8), model, depth, masks)
 
 
 def _load_depth(scene: Path, index: int, scale: float, size: tuple[int, int], needed: bool) -> Float | None:

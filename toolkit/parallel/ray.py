@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from toolkit.parallel.interrupts import without_interrupts
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
+_PATIENCE_S = 10
 _STORE_BYTES = 128 * 2**20
 """Shared memory of a cluster on this machine: rows are small."""
 
@@ -34,6 +36,8 @@ def ray_workers(count: int, address: str | None, prepare: Callable[[], None]) ->
     # Nobody asked for reports to ray's makers.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = optional("ray", "ray")
+    if address is not None:
+        _require_answer(address)
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     try:
         with without_interrupts():
@@ -49,6 +53,17 @@ def ray_workers(count: int, address: str | None, prepare: Callable[[], None]) ->
         yield RayWorkers(ray, prepare)
     finally:
         ray.shutdown()
+
+
+def _require_answer(address: str) -> None:
+    """Knock at the door first: ray itself waits for minutes where nobody is at home."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdecimal():
+        raise ToolkitError(f"a ray cluster's address is HOST:PORT or ray://HOST:PORT, got '{address}'")
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
+    except (OSError, OverflowError) as error:
+        raise ToolkitError(f"the ray cluster at '{address}' does not answer: {error}") from error
 
 
 @dataclass(frozen=True)
