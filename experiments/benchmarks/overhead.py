@@ -1,9 +1,9 @@
 """What the framework adds to the stages' time in an experiment; prints Markdown.
 
 `stages` is the time inside the stages as the rows state it (`time_ms`): with the cropping of what they get, the lifting
-of what they return, and the cache around them. `own code` is the part inside methods of the stages' classes. The rest is
-the framework's: reading captures, scoring, rows, pictures, summary, report. One process; scenes are built, and everything
-is imported, before the clock starts.
+of what they return, and the cache around them. `own code` is the part inside methods of the stages' classes. The rest
+is the framework's: reading captures, scoring, rows, pictures, summary, report. One process; scenes are built, and
+everything is imported, before the clock starts.
 
 python experiments/benchmarks/overhead.py quick --scenes 20
 """
