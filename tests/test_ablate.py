@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 import yaml
 
-from toolkit.ablate import RunOptions, run_experiment
+from toolkit.ablate import run_experiment
 from toolkit.errors import ToolkitError
 from toolkit.experiment import expand, load_experiment
 from toolkit.results import read_rows
+from toolkit.runs import RunOptions
 
 PIPELINE = {
     "segmenter": "oracle",

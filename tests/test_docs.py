@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import subprocess
@@ -10,14 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer
-
-from toolkit.cli import app
 
 ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-BLOCK = re.compile(r"^(?:<!-- needs (.*?) -->\n)?```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-"""A comment above a block names what it needs and may not be here: options of `toolkit ablate`, and modules."""
+BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
 
 
@@ -27,20 +22,11 @@ def test_every_block_runs(page, tmp_path, monkeypatch, capsys):
     scope: dict[str, object] = {}
     blocks = BLOCK.findall(page.read_text())
     assert blocks
-    for needs, language, code in blocks:
-        if not all(map(_is_here, needs.split())):
-            continue
+    for language, code in blocks:
         if language == "python":
             exec(compile(code, str(page), "exec"), scope)
         else:
             _shell(code, tmp_path)
-
-
-def _is_here(need: str) -> bool:
-    if need.startswith("--"):
-        command = typer.main.get_command(app).commands["ablate"]
-        return any(need in parameter.opts for parameter in command.params)
-    return importlib.util.find_spec(need) is not None
 
 
 def _shell(code: str, folder: Path) -> None:
@@ -68,7 +54,7 @@ def test_links_and_pictures_exist(page):
 def test_the_readme_has_one_picture_and_two_commands():
     text = (ROOT / "README.md").read_text()
     assert text.count("![") == 1
-    assert [code.strip() for _, language, code in BLOCK.findall(text) if language == "sh"][:2] == [
+    assert [code.strip() for language, code in BLOCK.findall(text) if language == "sh"][:2] == [
         "pip install . && toolkit ablate",
         "pip install '.[test]' && pytest",
     ]

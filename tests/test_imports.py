@@ -28,12 +28,13 @@ STAGE_FOLDERS = (
 )
 
 LAYERS = [
-    {"errors", "slots", "paths", "meter", "progress", "files", "parallel"},
+    {"errors", "slots", "paths", "meter", "progress", "files"},
     {"geometry", "jax_geometry"},
     {"types"},
     {"footprints"},
     {"moves"},
     {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
+    {"parallel"},
     {
         "stages",
         "database",
@@ -52,8 +53,9 @@ LAYERS = [
     {"executors"},
     {"experiment", "evaluate", "runs", "doctor", "recording", "film"},
     {"worker"},
-    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution", "view"},
+    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution", "view", "merge"},
     {"pytest_plugin"},
+    {"options"},
     {"cli"},
 ]
 """A module may import from its own layer and those before it."""

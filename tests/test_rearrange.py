@@ -11,7 +11,7 @@ import pytest
 import yaml
 from usual import USUAL
 
-from toolkit.ablate import RunOptions, run_experiment
+from toolkit.ablate import run_experiment
 from toolkit.completion import MoveRow, summarize_completion
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
@@ -27,6 +27,7 @@ from toolkit.rearrange import run_rearrangement
 from toolkit.regions import lift_segment
 from toolkit.report.completion_page import failure_table
 from toolkit.results import read_rows_as
+from toolkit.runs import RunOptions
 from toolkit.sight import SightSettings, correct, look
 from toolkit.stages import PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment

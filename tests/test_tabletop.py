@@ -8,12 +8,14 @@ import pytest
 
 from toolkit.data import noise
 from toolkit.data.bop import load_capture
-from toolkit.data.dataset import build_dataset, cached_capture, cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
 from toolkit.data.layout import arrange, resting_poses
 from toolkit.data.objects import load_object_set
+from toolkit.data.source import open_capture
 from toolkit.data.tabletop import TabletopConfig, home_camera, ring_cameras
 from toolkit.errors import ToolkitError
 from toolkit.geometry import rotation_angle
+from toolkit.parallel import open_workers
 from toolkit.sim.bullet import best_renderer
 
 NO_EGL = pytest.mark.skipif(best_renderer() != "egl", reason="EGL does not load here")
@@ -26,8 +28,9 @@ def files(folder):
 
 def test_a_scene_is_the_same_whatever_else_is_built(cache, tmp_path):
     config = TabletopConfig(scenes=3, seed=5, **SMALL)
-    alone = build_dataset(config, tmp_path / "alone", cache, workers=1)
-    together = build_dataset(config.model_copy(update={"scenes": 2}), tmp_path / "together", cache, workers=2)
+    alone = build_dataset(config, tmp_path / "alone", cache)
+    with open_workers(2) as workers:
+        together = build_dataset(config.model_copy(update={"scenes": 2}), tmp_path / "together", cache, workers)
     for scene in ("000000", "000001"):
         assert files(alone / scene) == files(together / scene)
     assert files(alone / "000000") != files(alone / "000001")
@@ -38,14 +41,14 @@ def test_a_cached_dataset_grows_instead_of_starting_again(cache):
     config = TabletopConfig(scenes=1, seed=6, **SMALL)
     folder = cached_dataset(config, cache)
     first = (folder / "000000/goal/rgb/000000.png").stat().st_mtime_ns
-    more = cached_dataset(config.model_copy(update={"scenes": 2}), cache, 1, lambda done, total: built.append(done))
+    more = cached_dataset(config.model_copy(update={"scenes": 2}), cache, None, lambda done, _: built.append(done))
     assert more == folder and built == [1, 2] and len(read_dataset(folder)) == 2
     assert (folder / "000000/goal/rgb/000000.png").stat().st_mtime_ns == first
 
 
 def test_one_scene_of_a_cached_dataset_is_built_alone(cache):
     config = TabletopConfig(scenes=2, seed=7, **SMALL)
-    capture = cached_capture(config, 1, cache)
+    capture = open_capture(config.model_dump(mode="json"), cache, 1)
     assert [folder.name for folder in read_dataset(capture.parent)] == ["000001"]
     before = files(capture)
     folder = cached_dataset(config, cache)

@@ -12,6 +12,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -43,7 +44,12 @@ _LIBRARIES = (
 
 def library_versions() -> dict[str, str]:
     """Versions of the libraries that stage outputs depend on, by distribution name."""
-    return {name: version(name) for name in _LIBRARIES}
+    return dict(_versions())
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    return tuple((name, version(name)) for name in _LIBRARIES)
 
 
 def plugin_identity(plugin: Plugin) -> dict[str, Any]:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import os
 import signal
 import sys
-from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,10 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from toolkit.errors import ToolkitError
+from toolkit.options import (
+    ExperimentArgument,
+    OutOption,
+    cores,
+    read_experiment,
+    run_options,
+    with_experiment_options,
+    with_run_options,
+)
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:
-    from toolkit.experiment import Cell, Experiment
+    from toolkit.experiment import Cell
     from toolkit.registry import Registry
 
 app = typer.Typer(
@@ -34,155 +41,64 @@ app.add_typer(weights_app, name="weights")
 plugin_app = typer.Typer(help="Implementations of your own.", no_args_is_help=True)
 app.add_typer(plugin_app, name="plugin")
 
-ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
-
-
-def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
-    """Add one option a slot, and --set, --plugin and --seed, to a command that takes an experiment.
-
-    The command receives them together, as `choices`.
-    """
-    slots = list(slots)
-    own = [p for name, p in inspect.signature(command, eval_str=True).parameters.items() if name != "choices"]
-    options = dict.fromkeys(slots, list[str]) | {"set": list[str], "plugin": list[Path]}
-    helps = {
-        slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps instead of the experiment's own sweep."
-        for slot in slots
-    } | {
-        "set": "path.to.key=v1,v2; several values sweep.",
-        "plugin": "A plugin file that is not installed.",
-    }
-    added = [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=[],
-            annotation=Annotated[kind, typer.Option(f"--{name.replace('_', '-')}", help=helps[name])],
-        )
-        for name, kind in options.items()
-    ]
-    seed = inspect.Parameter(
-        "seed",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Annotated[int | None, typer.Option("--seed", help="Seed of scenes and stages.")],
-    )
-
-    def wrapper(**arguments: Any) -> None:
-        names = [*options, "seed"]
-        choices = {name: arguments.pop(name) for name in names}
-        command(**arguments, choices=choices)
-
-    parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + [*added, seed]
-    wrapper.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
-    wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
-    wrapper.__name__, wrapper.__doc__ = command.__name__, command.__doc__
-    return wrapper
-
-
-def read_experiment(name: str, choices: dict[str, Any], *, rearranges: bool = False) -> Experiment:
-    """The experiment with the command line's choices applied."""
-    from toolkit.experiment import load_experiment, parse_set, register_plugin_file
-
-    for file in choices["plugin"]:
-        register_plugin_file(file)
-    overrides: dict[str, list[Any]] = {f"pipeline.{slot}": choices[slot] for slot in SLOTS if choices[slot]}
-    overrides |= {f"rearrange.{slot}": choices[slot] for slot in REARRANGE_SLOTS if choices.get(slot)}
-    overrides |= dict(parse_set(option) for option in choices["set"])
-    if choices["seed"] is not None:
-        overrides["seed"] = [choices["seed"]]
-    return load_experiment(name, overrides, rearranges=rearranges)
-
 
 @app.command()
 @with_experiment_options
+@with_run_options
 def ablate(
     experiment: ExperimentArgument = "quick",
-    objects: Annotated[str | None, typer.Option(help="'procedural', or a folder of scanned objects.")] = None,
-    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
-    backend: Annotated[str, typer.Option(help="joblib backend.")] = "loky",
-    out: OutOption = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
-    cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
     attribute: Annotated[
         bool, typer.Option("--attribute", help="Put the truth in the place of one stage at a time: what each costs.")
     ] = False,
     *,
     choices: dict[str, Any],
+    run: dict[str, Any],
 ) -> None:
     """Run an experiment's cells on the same scenes, print the table and write rows and a report."""
     from rich.console import Console
 
-    from toolkit.ablate import RunOptions, run_experiment
+    from toolkit.ablate import run_experiment
     from toolkit.attribution import attribution
     from toolkit.comparisons import print_results
     from toolkit.progress import Progress
     from toolkit.results import read_rows
     from toolkit.runs import ROWS
 
-    _set_dataset(choices, objects=objects, scenes=scenes)
-    console = Console()
-    options = RunOptions(
-        out=out,
-        workers=workers or _cores(),
-        backend=backend,
-        resume=resume,
-        fresh=fresh,
-        use_cache=cache,
-        plugin_files=tuple(choices["plugin"]),
-    )
+    options = run_options(choices, **run)
     loaded = read_experiment(experiment, choices)
-    run = run_experiment(attribution(loaded) if attribute else loaded, options, Progress(Console(stderr=True)))
-    print_results(read_rows(run / ROWS), console)
-    console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
+    folder = run_experiment(attribution(loaded) if attribute else loaded, options, Progress(Console(stderr=True)))
+    console = Console()
+    print_results(read_rows(folder / ROWS), console)
+    console.print(f"\nReport: {folder / 'report.html'}", highlight=False, soft_wrap=True)
 
 
 @app.command()
 @partial(with_experiment_options, slots=(*SLOTS, *REARRANGE_SLOTS))
+@with_run_options
 def rearrange(
     experiment: ExperimentArgument = "rearrange",
-    objects: Annotated[str | None, typer.Option(help="'procedural', or a folder of scanned objects.")] = None,
-    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
-    backend: Annotated[str, typer.Option(help="joblib backend.")] = "loky",
-    out: OutOption = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
-    cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
     film: Annotated[
         bool, typer.Option("--film", help="Film the first scene: film.mp4, and film.rrd where rerun is installed.")
     ] = False,
     *,
     choices: dict[str, Any],
+    run: dict[str, Any],
 ) -> None:
     """Perceive, plan and move in simulation until every object stands at its goal; print how often that works."""
     from rich.console import Console
 
-    from toolkit.ablate import RunOptions
     from toolkit.completion import MoveRow, print_completion, summarize_completion
     from toolkit.progress import Progress
     from toolkit.rearrange import run_rearrangement
     from toolkit.results import read_rows_as
     from toolkit.runs import ROWS
 
-    _set_dataset(choices, objects=objects, scenes=scenes)
-    options = RunOptions(
-        out=out,
-        workers=workers or _cores(),
-        backend=backend,
-        resume=resume,
-        fresh=fresh,
-        use_cache=cache,
-        plugin_files=tuple(choices["plugin"]),
-    )
+    options = run_options(choices, **run)
     loaded = read_experiment(experiment, choices, rearranges=True)
-    run = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
+    folder = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
     console = Console()
-    print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
-    console.print(f"\nReport: {run / 'report.html'}", highlight=False, soft_wrap=True)
+    print_completion(summarize_completion(read_rows_as(MoveRow, folder / ROWS)), console)
+    console.print(f"\nReport: {folder / 'report.html'}", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -232,18 +148,25 @@ def evaluate(
 
 
 @app.command()
-def report(run: Annotated[Path, typer.Argument(help="A run folder.")]) -> None:
-    """Print a run's table again and write its report.html anew."""
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="A run folder, or the shards of one experiment.")],
+    out: OutOption = None,
+) -> None:
+    """Print a run's table again and write its report.html anew; with --out, merge shards into one run first."""
     from rich.console import Console
 
     from toolkit.comparisons import print_results
     from toolkit.completion import MoveRow, print_completion, summarize_completion
+    from toolkit.merge import merge_shards
     from toolkit.report import write_completion_report, write_report
     from toolkit.results import read_rows, read_rows_as
-    from toolkit.runs import ROWS, rearranges
+    from toolkit.runs import ROWS, rearranges, require_run
 
-    if not (run / ROWS).is_file():
-        raise ToolkitError(f"'{run}' is not a run folder: it has no {ROWS}")
+    for folder in runs:
+        require_run(folder)
+    if len(runs) > 1 and out is None:
+        raise ToolkitError("several runs are merged into a new one: name its folder with --out")
+    run = runs[0] if out is None else merge_shards(runs, out)
     console = Console()
     if rearranges(run):
         print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
@@ -395,7 +318,7 @@ def train(
     from toolkit.training.run import train as run_training
 
     chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
-    options = TrainOptions(out or Path("runs") / "train" / network, resume, train_objects, objects, threads or _cores())
+    options = TrainOptions(out or Path("runs") / "train" / network, resume, train_objects, objects, threads or cores())
     path = run_training(network, read_training(network, config, chosen), options, Progress(Console(stderr=True)))
     Console().print(f"Written: {path}", highlight=False, soft_wrap=True)
 
@@ -418,7 +341,7 @@ def dataset_build(
 
     chosen: dict[str, Any] = {key: values[0] for key, values in map(parse_set, settings)}
     config = {"objects": objects, "scenes": scenes, "seed": seed, **chosen}
-    build_tabletop(config, out, workers or _cores(), Progress(Console(stderr=True)))
+    build_tabletop(config, out, workers or cores(), Progress(Console(stderr=True)))
     Console().print(f"Written: {out}", highlight=False, soft_wrap=True)
 
 
@@ -500,12 +423,6 @@ def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
-def _set_dataset(choices: dict[str, Any], **values: object) -> None:
-    """Turn options of the dataset that were given into `--set`."""
-    given = [f"dataset.{key}={value}" for key, value in values.items() if value is not None]
-    choices["set"] = [*choices["set"], *given]
-
-
 def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:
     from toolkit.experiment import expand
 
@@ -533,10 +450,6 @@ def _summary(registry: Registry[Any], name: str) -> str:
         return (inspect.getdoc(registry.get(name)) or "").partition("\n")[0]
     except ToolkitError as error:
         return f"[red]cannot be used: {error}[/red]"
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0))
 
 
 class CheckFailedError(Exception):

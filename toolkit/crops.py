@@ -27,12 +27,14 @@ def crop_region(rgb: Image, segment: Segment, size: int, margin: float = 0.05) -
     # Pixel centres: the crop's first pixel covers [origin - 0.5 / scale, origin + 0.5 / scale] of the image.
     center = np.array([x0 + x1, y0 + y1]) / 2
     origin = center - (size - 1) / 2 / scale
-    masked = np.where(segment.mask[..., None], rgb, 0).astype(np.uint8)
+    inside = segment.mask.astype(np.uint8)
+    masked = cv2.bitwise_and(rgb, rgb, mask=inside)
     if scale < 1:
         # Averages what falls between the crop's samples, which would alias otherwise.
         masked = cv2.GaussianBlur(masked, (0, 0), 0.5 * np.sqrt(1 / scale**2 - 1))
     to_crop = np.array([[scale, 0, -origin[0] * scale], [0, scale, -origin[1] * scale]])
     interpolation = cv2.INTER_LINEAR if scale < 1 else cv2.INTER_CUBIC
     image = cv2.warpAffine(masked, to_crop, (size, size), flags=interpolation)
-    mask = cv2.warpAffine(segment.mask.astype(np.uint8), to_crop, (size, size), flags=cv2.INTER_NEAREST) > 0
-    return Crop(np.where(mask[..., None], image, 0).astype(np.uint8), mask, scale, origin)
+    covered = cv2.warpAffine(inside, to_crop, (size, size), flags=cv2.INTER_NEAREST)
+    cut = np.asarray(cv2.bitwise_and(image, image, mask=covered), np.uint8)
+    return Crop(cut, np.asarray(covered > 0), scale, origin)

@@ -72,6 +72,16 @@ def source_digest(module: str) -> str:
     return hasher.hexdigest()
 
 
+@functools.cache
+def package_digest() -> str:
+    """sha256 hex over every Python file of `toolkit`: two machines with the same one run the same code."""
+    root = Path(__file__).parent
+    hasher = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        hasher.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+    return hasher.hexdigest()
+
+
 def _closure(module: str) -> set[Path]:
     roots = {"toolkit", module.partition(".")[0]}
     found: set[Path] = set()

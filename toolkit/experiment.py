@@ -189,10 +189,10 @@ def load_experiment(
     for key, values in (overrides or {}).items():
         _override(data, key, list(values))
     experiment = validated(Experiment, data, f"experiment '{path}'")
-    for plugin in experiment.plugins:
-        file = plugin if plugin.is_absolute() else path.parent / plugin
+    plugins = tuple((path.parent / plugin).absolute() for plugin in experiment.plugins)
+    for file in plugins:
         register_plugin_file(file)
-    return experiment
+    return experiment.model_copy(update={"plugins": plugins})
 
 
 def register_plugin_file(file: Path) -> None:

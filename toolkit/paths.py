@@ -7,6 +7,6 @@ from pathlib import Path
 
 
 def cache_root() -> Path:
-    """$TOOLKIT_CACHE, or ~/.cache/toolkit; may not exist yet."""
+    """$TOOLKIT_CACHE, or ~/.cache/toolkit, as an absolute path; may not exist yet."""
     named = os.environ.get("TOOLKIT_CACHE")
-    return Path(named) if named else Path.home() / ".cache" / "toolkit"
+    return Path(named).absolute() if named else Path.home() / ".cache" / "toolkit"

@@ -18,6 +18,11 @@ class Progress:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console
 
+    def say(self, text: str) -> None:
+        """Print a line above the bar."""
+        if self._console is not None:
+            self._console.print(text, highlight=False, markup=False)
+
     @contextmanager
     def step(self, title: str, total: int) -> Generator[Advance]:
         """A bar that advances by the number handed to the yielded function."""

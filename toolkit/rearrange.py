@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from toolkit.ablate import RunOptions
 from toolkit.cache import Cache
 from toolkit.completion import MoveRow, summarize_completion
-from toolkit.data.objects import ObjectSet, load_object_set
+from toolkit.data.dataset import object_set
 from toolkit.data.tabletop import TabletopConfig, TabletopScene, draw_scene
 from toolkit.digests import digest
 from toolkit.episode import Episode, rearrange
@@ -22,17 +20,16 @@ from toolkit.experiment import Cell, Experiment, RearrangeChoice, create_stage, 
 from toolkit.film import Film, Filmable, record_poses
 from toolkit.geometry import invert
 from toolkit.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
-from toolkit.parallel import run_parallel
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.recording import has_rerun
 from toolkit.report import write_completion_report
 from toolkit.results import append_rows, read_rows_as, write_rows, write_summary
-from toolkit.runs import ROWS, finished, open_run, writable, write_meta
+from toolkit.runs import ROWS, SUMMARY, RunOptions, finished, open_run, resolve, writable, write_meta
 from toolkit.slots import REARRANGE_SLOTS
 from toolkit.stages import Executor
 from toolkit.types import Failure, Float, TrueObject
-from toolkit.worker import get_runner, prepare_process, require_ready
+from toolkit.worker import get_runner, require_ready, workers_for
 
 
 @dataclass(frozen=True)
@@ -43,14 +40,12 @@ class MoveTask:
         scene_id: number of the scene in its benchmark.
         cell: all settings.
         cache: where stage outputs are kept, or None.
-        plugin_files: plugin files to load first.
         film: the MP4 file to film it into, or None.
     """
 
     scene_id: int
     cell: Cell
     cache: Cache | None
-    plugin_files: tuple[Path, ...] = ()
     film: Path | None = None
 
 
@@ -79,30 +74,35 @@ def run_rearrangement(
     for cell in cells:
         _check(cell)
     cache = Cache(cache_root() / "stages") if options.use_cache else None
-    resolved = {"experiment": experiment.name, "cells": [cell.resolved() for cell in cells]}
-    with writable("the run folder"):
-        run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
-        done = finished(run, MoveRow)
-    tasks = [
-        MoveTask(scene_id, cell, cache, options.plugin_files)
-        for scene_id in range(max(cell.dataset["scenes"] for cell in cells))
-        for cell in cells
-        if scene_id < cell.dataset["scenes"] and (cell.name, scene_id) not in done
-    ]
-    if film and tasks:
-        tasks[0] = replace(tasks[0], film=run / "film.mp4")
+    resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
+    scenes = list(filter(options.shard.holds, range(max(cell.dataset["scenes"] for cell in cells))))
+    if not scenes:
+        raise ToolkitError(f"shard {options.shard} holds no scene: there are fewer scenes than shards")
+    with workers_for(experiment, options, progress) as workers:
+        with writable("the run folder"):
+            run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
+            done = finished(run, MoveRow)
+        tasks = [
+            MoveTask(scene_id, cell, cache)
+            for scene_id in scenes
+            for cell in cells
+            if scene_id < cell.dataset["scenes"] and (cell.name, scene_id) not in done
+        ]
+        if film and tasks:
+            tasks[0] = replace(tasks[0], film=run.absolute() / "film.mp4")
+        with writable(f"'{run}'"):
+            datasets = {digest(cell.dataset): cell.dataset for cell in cells}
+            write_meta(run, weights, list(datasets.values()))
+            with progress.step("Rearranging", len(tasks)) as advance:
+                for rows in workers.map(run_scene, tasks):
+                    append_rows(run / ROWS, rows)
+                    advance(1)
     with writable(f"'{run}'"):
-        datasets = {digest(cell.dataset): cell.dataset for cell in cells}
-        write_meta(run, weights, list(datasets.values()))
-        with progress.step("Rearranging", len(tasks)) as advance:
-            for rows in _execute(tasks, options):
-                append_rows(run / ROWS, rows)
-                advance(1)
         order = {cell.name: i for i, cell in enumerate(cells)}
         rows = read_rows_as(MoveRow, run / ROWS)
         rows.sort(key=lambda row: (order[row.cell], row.scene_id, row.object))
         write_rows(run / ROWS, rows)
-        write_summary(run / "summary.csv", summarize_completion(rows))
+        write_summary(run / SUMMARY, summarize_completion(rows))
         write_completion_report(run)
     return run
 
@@ -115,7 +115,7 @@ def _check(cell: Cell) -> None:
         create_stage(_choice(cell), slot).check_ready()
     config = _config(cell)
     # The first scene shows whether the objects are there and the table holds them.
-    draw_scene(config, _objects(config.objects), 0, cache_root())
+    draw_scene(config, object_set(config.objects, cache_root()), 0, cache_root())
 
 
 def _choice(cell: Cell) -> RearrangeChoice:
@@ -127,25 +127,6 @@ def _config(cell: Cell) -> TabletopConfig:
     return TabletopConfig.model_validate(cell.dataset)
 
 
-@lru_cache(maxsize=4)
-def _objects(source: str) -> ObjectSet:
-    return load_object_set(source, cache_root())
-
-
-def _execute(tasks: Sequence[MoveTask], options: RunOptions) -> Iterator[list[MoveRow]]:
-    """Rows of every task, as they get done."""
-    if options.workers == 1 or len(tasks) < 2:
-        yield from (run_scene(task) for task in tasks)
-        return
-    yield from run_parallel(_run_in_process, ((task,) for task in tasks), options.workers, options.backend)
-
-
-def _run_in_process(task: MoveTask) -> list[MoveRow]:
-    """`run_scene` in a worker process."""
-    prepare_process(task.plugin_files)
-    return run_scene(task)
-
-
 def run_scene(task: MoveTask) -> list[MoveRow]:
     """Rearrange one scene and measure where everything ended.
 
@@ -153,7 +134,7 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
         ToolkitError: a stage refuses its input.
     """
     config = _config(task.cell)
-    scene = draw_scene(config, _objects(config.objects), task.scene_id, cache_root())
+    scene = draw_scene(config, object_set(config.objects, cache_root()), task.scene_id, cache_root())
     runner = get_runner(task.cell, task.cache)
     choice = _choice(task.cell)
     executor: Executor = create_stage(choice, "executor")

@@ -208,7 +208,9 @@ def _share(outcomes: Sequence[bool]) -> Estimate:
 
 def _lower_median(values: Float) -> float:
     """Median that is one of the values: the mean of a number and infinity says nothing."""
-    return float(np.quantile(values, 0.5, method="inverted_cdf"))
+    # np.quantile(values, 0.5, method="inverted_cdf"), ten times as fast: the bootstrap asks a thousand times.
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values, middle)[middle])
 
 
 def _median(values: Float, scenes: np.ndarray) -> Estimate:

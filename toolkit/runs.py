@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import yaml
 
 from toolkit import __version__
 from toolkit.cache import library_versions
-from toolkit.digests import digest
+from toolkit.digests import digest, package_digest
 from toolkit.errors import ToolkitError
 from toolkit.experiment import Cell
 from toolkit.files import write_json, write_text
@@ -26,6 +27,71 @@ from toolkit.results import Row, SceneRow, read_rows_as, write_rows
 ROWS = "rows.jsonl"
 RESOLVED = "experiment.resolved.yaml"
 META = "meta.json"
+SUMMARY = "summary.csv"
+"""Written last of all figures: a run that has it has all its rows."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Every `count`-th scene from the `number`-th, counted from 1: a part of an experiment that runs on its own."""
+
+    number: int
+    count: int
+
+    @staticmethod
+    def parse(text: str) -> Shard:
+        """Read `2/3`.
+
+        Raises:
+            ToolkitError: it is not a part of a whole.
+        """
+        number, _, count = text.partition("/")
+        if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+            raise ToolkitError(f"--shard takes I/N, such as 2/3 for the second of three parts, got '{text}'")
+        return Shard(int(number), int(count))
+
+    def holds(self, scene_id: int) -> bool:
+        """Say whether a scene is in this part."""
+        return scene_id % self.count == self.number - 1
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+
+WHOLE = Shard(1, 1)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is carried out; nothing here changes a row.
+
+    Attributes:
+        out: the run's folder, or None for runs/<name>/<time>/.
+        workers: processes on this machine.
+        backend: what starts them: loky, dask or ray.
+        address: the dask or ray cluster to work on instead.
+        shard: the part of the scenes to run.
+        resume: go on with the finished rows of `out`, or of the newest run with the same settings.
+        fresh: start `out` again even where it holds a run.
+        use_cache: False computes everything anew and keeps nothing.
+        plugin_files: plugin files that are not installed; workers load them too.
+    """
+
+    out: Path | None = None
+    workers: int = 1
+    backend: str = "loky"
+    address: str | None = None
+    shard: Shard = WHOLE
+    resume: bool = False
+    fresh: bool = False
+    use_cache: bool = True
+    plugin_files: tuple[Path, ...] = ()
+
+
+def resolve(name: str, cells: Sequence[Mapping[str, Any]], shard: Shard = WHOLE) -> dict[str, Any]:
+    """What experiment.resolved.yaml says: all that decides the rows of an experiment, or of one shard of it."""
+    resolved: dict[str, Any] = {"experiment": name, "cells": [dict(cell) for cell in cells]}
+    return resolved if shard == WHOLE else {**resolved, "shard": str(shard)}
 
 
 def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume: bool, fresh: bool) -> Path:
@@ -57,6 +123,7 @@ def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path
     candidates = [out] if out else sorted((Path("runs") / name).glob("*"), reverse=True)
     for run in candidates:
         if (run / RESOLVED).exists() and digest(yaml.safe_load((run / RESOLVED).read_text())) == digest(resolved):
+            (run / SUMMARY).unlink(missing_ok=True)
             return run
     where = f"'{out}'" if out else f"'{Path('runs') / name}'"
     raise ToolkitError(f"{where} holds no run with these settings to resume; leave --resume out to start one")
@@ -88,6 +155,12 @@ def read_cells(run: Path) -> list[Cell]:
         raise ToolkitError(f"'{run / RESOLVED}' is not of this version: {error!r}") from error
 
 
+def require_run(folder: Path) -> None:
+    """Raise ToolkitError where a folder is no run."""
+    if not (folder / ROWS).is_file():
+        raise ToolkitError(f"'{folder}' is not a run folder: it has no {ROWS}")
+
+
 def rearranges(run: Path) -> bool:
     """Say whether a run rearranged scenes, or only estimated poses: its rows differ."""
     settings: Any = yaml.safe_load((run / RESOLVED).read_text()) if (run / RESOLVED).exists() else {}
@@ -100,6 +173,7 @@ def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping
         run / META,
         {
             "toolkit": __version__,
+            "source": package_digest(),
             **_commit(),
             "command": sys.argv,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),

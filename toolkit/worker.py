@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +23,18 @@ from toolkit.cache import (
     library_versions,
     plugin_identity,
 )
-from toolkit.data.bop import load_capture
-from toolkit.digests import digest, source_digest
+from toolkit.data.bop import capture_digest, load_capture
+from toolkit.digests import digest, package_digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.evaluate import score
-from toolkit.experiment import Cell, create_stage, own_settings, register_plugin_file
+from toolkit.experiment import Cell, Experiment, create_stage, own_settings, register_plugin_file
 from toolkit.meter import Meter
+from toolkit.parallel import Workers, open_workers
+from toolkit.paths import cache_root
 from toolkit.pipeline import Pipeline, Stages
+from toolkit.progress import Progress
 from toolkit.results import Row
+from toolkit.runs import RunOptions
 from toolkit.slots import SLOTS
 from toolkit.types import Capture, Failure, PoseEstimate, Segment
 
@@ -50,14 +56,12 @@ class SceneTask:
         capture: its capture folder.
         cells: the cells that have no rows for it yet.
         cache: where stage outputs and rows are kept, or None.
-        plugin_files: plugin files to load first.
     """
 
     scene_id: int
     capture: Path
     cells: tuple[Cell, ...]
     cache: Cache | None
-    plugin_files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -126,19 +130,21 @@ def make_runner(cell: Cell, cache: Cache | None) -> CellRunner:
     )
 
 
-def run_scene(task: SceneTask) -> list[Row]:
-    """Rows of one scene for every cell of the task, from the cache where it has them.
+def run_scene(task: SceneTask) -> tuple[SceneTask, list[Row]]:
+    """The task, and the rows of its scene for every one of its cells, from the cache where it has them.
 
     Raises:
         ToolkitError: the capture cannot be read, or a stage refuses its input.
     """
-    capture = load_capture(task.capture)
+    capture: Capture | None = None  # decoded when a cell's rows are not in the cache
+    content = capture_digest(task.capture)
     rows: list[Row] = []
     for cell in task.cells:
         runner = get_runner(cell, task.cache)
-        key = digest([runner.identity, capture.digest, task.scene_id])
+        key = digest([runner.identity, content, task.scene_id])
         stored = task.cache.load(key) if task.cache else None
         if stored is None:
+            capture = capture or load_capture(task.capture)
             fresh = runner.rows(capture, task.scene_id)
             if task.cache:
                 task.cache.store(key, {"rows": np.array([row.model_dump_json() for row in fresh], dtype=np.str_)})
@@ -146,23 +152,80 @@ def run_scene(task: SceneTask) -> list[Row]:
         else:
             served = [Row.model_validate_json(line) for line in stored["rows"].tolist()]
             rows += [row.model_copy(update={"cached": True}) for row in served]
-    return rows
+    return task, rows
 
 
-def run_scene_in_process(task: SceneTask) -> tuple[SceneTask, list[Row]]:
-    """`run_scene` in a worker process."""
-    prepare_process(task.plugin_files)
-    return task, run_scene(task)
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker process, here or on another machine, must have to give the rows the main process would.
+
+    Attributes:
+        folder: where the command was given, so that relative paths mean the same; gone to where it exists.
+        environment: variables by name: where the toolkit keeps and finds things.
+        plugin_files: plugin files to load, absolute.
+        source: digest of the toolkit's own code.
+        libraries: versions by name.
+    """
+
+    folder: Path
+    environment: tuple[tuple[str, str], ...]
+    plugin_files: tuple[Path, ...]
+    source: str
+    libraries: tuple[tuple[str, str], ...]
+
+    @staticmethod
+    def of_this_process(plugin_files: Sequence[Path] = ()) -> WorkerSetup:
+        """What this process has."""
+        environment = {"TOOLKIT_CACHE": str(cache_root())}
+        if "TOOLKIT_WEIGHTS" in os.environ:
+            environment["TOOLKIT_WEIGHTS"] = str(Path(os.environ["TOOLKIT_WEIGHTS"]).absolute())
+        files = tuple(dict.fromkeys(file.absolute() for file in plugin_files))
+        libraries = tuple(library_versions().items())
+        return WorkerSetup(Path.cwd(), tuple(environment.items()), files, package_digest(), libraries)
+
+    def __call__(self) -> None:
+        """Make this process ready; done once.
+
+        Raises:
+            ToolkitError: it has another toolkit or other versions, or a plugin file is not to be had here.
+        """
+        _prepare(self)
 
 
-@lru_cache
-def prepare_process(plugin_files: tuple[Path, ...]) -> None:
-    """Make a worker process ready: one thread, so that workers do not fight for cores, and its plugin files."""
+@lru_cache(maxsize=1)
+def _prepare(setup: WorkerSetup) -> None:
+    if setup.source != package_digest():
+        raise ToolkitError("a worker has other toolkit code than this run began with; install the same everywhere")
+    own = library_versions()
+    differing = [f"{name} {own[name]} for {there}" for name, there in setup.libraries if own[name] != there]
+    if differing:
+        raise ToolkitError(f"a worker has other versions than this machine: {', '.join(differing)}; install the same")
+    os.environ.update(setup.environment)
+    if setup.folder.is_dir():
+        os.chdir(setup.folder)
+    # One thread a process, or workers fight for cores.
     cv2.setNumThreads(1)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
-    for file in plugin_files:
-        register_plugin_file(file)
+    for file in setup.plugin_files:
+        _load_once(file)
+
+
+@cache
+def _load_once(file: Path) -> None:
+    register_plugin_file(file)
+
+
+@contextmanager
+def workers_for(experiment: Experiment, options: RunOptions, progress: Progress) -> Generator[Workers]:
+    """The workers a run asks for, made ready for its experiment.
+
+    Raises:
+        ToolkitError: as `open_workers`.
+    """
+    prepare = WorkerSetup.of_this_process((*experiment.plugins, *options.plugin_files))
+    with open_workers(options.workers, options.backend, options.address, prepare, progress.say) as workers:
+        yield workers
 
 
 _runners: dict[str, CellRunner] = {}

@@ -7,7 +7,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "Stages and plugins": ("registry", "stages", "conformance", "weights.cards", "weights.resolve"),
     "Perception": ("pipeline", "database", "crops", "regions", "lifting"),
     "Rearrangement": ("episode", "sight", "executors.replay", "planners.rollout", "motion.paths"),
-    "Experiments": ("experiment", "ablate", "rearrange", "attribution", "cache"),
+    "Experiments": ("experiment", "ablate", "rearrange", "attribution", "runs", "merge", "parallel", "cache"),
     "Rows and figures": ("evaluate", "metrics", "stats", "results", "comparisons", "completion"),
     "Data": ("data.bop", "data.dataset", "data.tabletop", "data.objects"),
     "Training": ("training.config", "training.run", "training.pairs"),

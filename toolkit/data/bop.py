@@ -41,7 +41,7 @@ def load_capture(folder: Path) -> Capture:
         raise ToolkitError(f"'{goal_folder}' must hold exactly one goal image, it holds {len(goal)}")
     if not any(frame.depth is not None and frame.depth.any() for frame in current):
         raise ToolkitError(f"'{current_folder / 'depth'}': every depth image is zero everywhere; nothing was measured")
-    return Capture(folder.name, tuple(current), goal[0], _load_truth(folder), _digest(folder))
+    return Capture(folder.name, tuple(current), goal[0], _load_truth(folder), capture_digest(folder))
 
 
 def load_models(path: Path) -> dict[int, ObjectModel]:
@@ -113,7 +113,7 @@ def _load_frame(
 ) -> Frame:
     where = f"'{scene / 'scene_camera.json'}', image {index}"
     rgb_path = _image_path(scene / "rgb", index)
-    rgb = _read_image(rgb_path, cv2.IMREAD_COLOR)[..., ::-1]
+    rgb = cv2.cvtColor(_read_image(rgb_path, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
     height, width = rgb.shape[:2]
     try:
         K = np.array(camera["cam_K"], np.float64).reshape(3, 3)
@@ -133,7 +133,7 @@ def _load_frame(
         raise ToolkitError(f"{where}: {error}") from error
     depth = _load_depth(scene, index, float(camera.get("depth_scale", 1.0)), (height, width), needs_depth)
     masks = None if instances is None else _load_masks(scene, index, instances, (height, width))
-    return Frame(index, np.ascontiguousarray(rgb), model, depth, masks)
+    return Frame(index, np.asarray(rgb, np.uint8), model, depth, masks)
 
 
 def _load_depth(scene: Path, index: int, scale: float, size: tuple[int, int], needed: bool) -> Float | None:
@@ -262,7 +262,8 @@ def _read_image(path: Path, flags: int) -> Image:
     return image  # pyright: ignore[reportReturnType]
 
 
-def _digest(folder: Path) -> str:
+def capture_digest(folder: Path) -> str:
+    """sha256 hex over the names and bytes of every file of a capture folder; nothing is decoded."""
     hasher = hashlib.sha256()
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         hasher.update(str(path.relative_to(folder)).encode() + b"\0")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from toolkit.data.tabletop import TabletopConfig, build_scene
 from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
-from toolkit.parallel import run_parallel
+from toolkit.parallel import Here, Workers
 
 OnScene = Callable[[int, int], None]
 """Called with (finished, total) after every scene."""
@@ -23,31 +24,26 @@ OnScene = Callable[[int, int], None]
 _LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "scipy", "trimesh")
 
 
-def cached_dataset(config: TabletopConfig, cache: Path, workers: int = 1, on_scene: OnScene | None = None) -> Path:
+def cached_dataset(
+    config: TabletopConfig,
+    cache: Path,
+    workers: Workers | None = None,
+    on_scene: OnScene | None = None,
+    scenes: Sequence[int] | None = None,
+) -> Path:
     """The benchmark in the cache, its missing scenes built; scenes are shared whatever number is asked for.
 
-    Raises:
-        ToolkitError: as `build_dataset`.
-    """
-    objects = load_object_set(config.objects, cache)
-    folder = _cache_folder(config, objects, cache)
-    _build(config, objects, range(config.scenes), folder, cache, workers, on_scene)
-    return folder
-
-
-def cached_capture(config: TabletopConfig, number: int, cache: Path) -> Path:
-    """One scene of the benchmark in the cache, built where it is missing.
+    Args:
+        config: its settings.
+        cache: where it is kept.
+        workers: who builds; this process when left out.
+        on_scene: progress.
+        scenes: the scenes that are needed; all when left out.
 
     Raises:
         ToolkitError: as `build_dataset`.
     """
-    objects = load_object_set(config.objects, cache)
-    folder = _cache_folder(config, objects, cache)
-    _build(config, objects, [number], folder, cache, 1, None)
-    return folder / f"{number:06d}"
-
-
-def _cache_folder(config: TabletopConfig, objects: ObjectSet, cache: Path) -> Path:
+    objects = object_set(config.objects, cache)
     key = digest(
         {
             "config": config.model_dump(mode="json", exclude={"scenes", "objects"}),
@@ -56,11 +52,17 @@ def _cache_folder(config: TabletopConfig, objects: ObjectSet, cache: Path) -> Pa
             "libraries": {name: version(name) for name in _LIBRARIES},
         }
     )
-    return cache / "datasets" / key[:32]
+    folder = cache / "datasets" / key[:32]
+    _build(config, objects, folder, cache, workers, on_scene, scenes)
+    return folder
 
 
 def build_dataset(
-    config: TabletopConfig, out: Path, cache: Path, workers: int = 1, on_scene: OnScene | None = None
+    config: TabletopConfig,
+    out: Path,
+    cache: Path,
+    workers: Workers | None = None,
+    on_scene: OnScene | None = None,
 ) -> Path:
     """Build a benchmark in a folder of its own.
 
@@ -68,7 +70,7 @@ def build_dataset(
         config: its settings.
         out: the folder; it must be absent or empty.
         cache: where the object set's own files are kept.
-        workers: processes; scene k is the same for any number.
+        workers: who builds; scene k is the same whoever does. This process when left out.
         on_scene: progress.
 
     Raises:
@@ -76,8 +78,7 @@ def build_dataset(
     """
     if out.exists() and any(out.iterdir()):
         raise ToolkitError(f"'{out}' is not empty; name a new folder")
-    objects = load_object_set(config.objects, cache)
-    _build(config, objects, range(config.scenes), out, cache, workers, on_scene)
+    _build(config, object_set(config.objects, cache), out, cache, workers, on_scene)
     return out
 
 
@@ -95,31 +96,38 @@ def read_dataset(folder: Path) -> list[Path]:
     return captures
 
 
+@lru_cache(maxsize=4)
+def object_set(source: str, cache: Path) -> ObjectSet:
+    """The object set, as `load_object_set`; its files have absolute paths, which workers open from any folder."""
+    procedural = source == "procedural"
+    return load_object_set(source if procedural else str(Path(source).expanduser().absolute()), cache)
+
+
 def _build(
     config: TabletopConfig,
     objects: ObjectSet,
-    numbers: Sequence[int],
     folder: Path,
     cache: Path,
-    workers: int,
+    workers: Workers | None,
     on_scene: OnScene | None,
+    scenes: Sequence[int] | None = None,
 ) -> None:
-    missing = [i for i in numbers if not (folder / f"{i:06d}").is_dir()]
-    finished = len(numbers) - len(missing)
+    needed = range(config.scenes) if scenes is None else scenes
+    missing = [i for i in needed if not (folder / f"{i:06d}").is_dir()]
+    finished = len(needed) - len(missing)
     if on_scene:
-        on_scene(finished, len(numbers))
+        on_scene(finished, len(needed))
     if not missing:
         return
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "dataset.json", _made(config, objects))
-    tasks = ((config, objects, i, folder, cache) for i in missing)
-    for _ in run_parallel(_build_one, tasks, min(workers, len(missing))):
+    for _ in (workers or Here()).map(partial(_build_one, config, objects, folder, cache), missing):
         finished += 1
         if on_scene:
-            on_scene(finished, len(numbers))
+            on_scene(finished, len(needed))
 
 
-def _build_one(config: TabletopConfig, objects: ObjectSet, number: int, folder: Path, cache: Path) -> int:
+def _build_one(config: TabletopConfig, objects: ObjectSet, folder: Path, cache: Path, number: int) -> int:
     """Build a scene under a temporary name and rename it: a killed build leaves whole scenes only."""
     temporary = folder / f".{number:06d}.{os.getpid()}"
     shutil.rmtree(temporary, ignore_errors=True)

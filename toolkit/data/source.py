@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.data.dataset import build_dataset, cached_capture, cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.errors import ToolkitError
+from toolkit.parallel import Workers, open_workers
 from toolkit.paths import cache_root
 from toolkit.progress import Advance, Progress
 from toolkit.registry import validated
@@ -18,14 +19,14 @@ from toolkit.registry import validated
 
 @dataclass(frozen=True)
 class Dataset:
-    """A list of capture folders.
+    """Capture folders.
 
     Attributes:
-        captures: the folders; the position is the scene id.
+        captures: the folders by scene id.
         made: how they were made (dataset.json), or where they lie.
     """
 
-    captures: tuple[Path, ...]
+    captures: dict[int, Path]
     made: dict[str, Any]
 
 
@@ -47,50 +48,59 @@ def resolve_settings(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return validated(TabletopConfig, {"seed": seed, **settings}, "dataset").model_dump(mode="json")
 
 
+def _every(_: int) -> bool:
+    return True
+
+
 def open_dataset(
-    settings: Mapping[str, Any], cache: Path, workers: int = 1, progress: Progress | None = None
+    settings: Mapping[str, Any],
+    cache: Path,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+    wanted: Callable[[int], bool] = _every,
 ) -> Dataset:
     """Find or build captures.
 
     Args:
         settings: what `resolve_settings` returned.
         cache: where object sets and built scenes are kept.
-        workers: processes that build.
+        workers: who builds; this process when left out.
         progress: shows a bar.
+        wanted: says of a scene id whether it is needed.
 
     Raises:
         ToolkitError: the folder is no dataset, or the settings do not fit.
     """
     if "path" in settings:
-        return _existing(settings)
+        return _existing(settings, wanted)
     config = TabletopConfig.model_validate(settings)
-    with (progress or Progress()).step("Building scenes", config.scenes) as advance:
-        folder = cached_dataset(config, cache, workers, _each(advance))
+    scenes = [i for i in range(config.scenes) if wanted(i)]
+    with (progress or Progress()).step("Building scenes", len(scenes)) as advance:
+        folder = cached_dataset(config, cache, workers, _each(advance), scenes)
     made = json.loads((folder / "dataset.json").read_text())
-    return Dataset(tuple(read_dataset(folder)[: config.scenes]), made)
+    return Dataset({i: folder / f"{i:06d}" for i in scenes}, made)
 
 
 def open_capture(settings: Mapping[str, Any], cache: Path, scene_id: int) -> Path:
     """Find or build one capture of a dataset; the arguments are those of `open_dataset`.
 
     Raises:
-        ToolkitError: as `open_dataset`; there are fewer captures.
+        ToolkitError: as `open_dataset`; the dataset holds no such scene.
     """
-    if "path" not in settings:
-        return cached_capture(TabletopConfig.model_validate(settings), scene_id, cache)
-    captures = _existing(settings).captures
-    if scene_id >= len(captures):
-        raise ToolkitError(f"'{settings['path']}' holds {len(captures)} captures, none of number {scene_id}")
+    captures = open_dataset(settings, cache, wanted=lambda i: i == scene_id).captures
+    if scene_id not in captures:
+        raise ToolkitError(f"the dataset holds no scene {scene_id}; they are numbered from 0")
     return captures[scene_id]
 
 
-def _existing(settings: Mapping[str, Any]) -> Dataset:
+def _existing(settings: Mapping[str, Any], wanted: Callable[[int], bool]) -> Dataset:
     folder = Path(settings["path"])
     captures = read_dataset(folder)
     scenes = settings.get("scenes", len(captures))
     if not isinstance(scenes, int) or not 1 <= scenes <= len(captures):
         raise ToolkitError(f"dataset: scenes is {scenes!r}, but '{folder}' holds {len(captures)} captures")
-    return Dataset(tuple(captures[:scenes]), {"path": str(folder.resolve())})
+    numbered = {i: capture.absolute() for i, capture in enumerate(captures[:scenes]) if wanted(i)}
+    return Dataset(numbered, {"path": str(folder.resolve())})
 
 
 def build_tabletop(settings: Mapping[str, Any], out: Path, workers: int, progress: Progress) -> None:
@@ -100,8 +110,8 @@ def build_tabletop(settings: Mapping[str, Any], out: Path, workers: int, progres
         ToolkitError: as `toolkit.data.dataset.build_dataset`.
     """
     config = validated(TabletopConfig, dict(settings), "dataset")
-    with progress.step("Building scenes", config.scenes) as advance:
-        build_dataset(config, out, cache_root(), workers, _each(advance))
+    with open_workers(workers, say=progress.say) as opened, progress.step("Building scenes", config.scenes) as advance:
+        build_dataset(config, out.absolute(), cache_root(), opened, _each(advance))
 
 
 def _each(advance: Advance) -> Callable[[int, int], None]:

@@ -1,0 +1,5 @@
+"""Work in processes, on this machine or on a cluster; the same results wherever it is done."""
+
+from toolkit.parallel.workers import BACKENDS, Here, Workers, open_workers
+
+__all__ = ["BACKENDS", "Here", "Workers", "open_workers"]

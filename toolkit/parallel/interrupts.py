@@ -1,0 +1,21 @@
+"""Ctrl-C is the main process's to answer."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+
+
+@contextmanager
+def without_interrupts() -> Generator[None]:
+    """Ignore Ctrl-C meanwhile; processes started here inherit that for good."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
