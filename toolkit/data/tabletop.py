@@ -30,7 +30,6 @@ _TRACKS: dict[str, tuple[Effect, ...]] = {
     "d435": ("depth", "quantization", "dropout", "color", "light", "pose"),
 }
 
-_TABLE_RADIUS_M = 0.40
 _CAMERA_DISTANCE_M = 1.05
 _ELEVATION = np.radians(45)
 _HOME_AZIMUTH = np.radians(-90)
@@ -64,6 +63,9 @@ class TabletopConfig(PluginConfig):
     )
     lookalikes: Lookalikes = Field(
         "none", description="Every second object is the one before it once more: the same, or in other colours."
+    )
+    radius_m: float = Field(
+        0.40, gt=0, le=0.40, description="Objects stand inside this disc; an arm at the edge does not reach all of 0.4."
     )
     clearance_m: float = Field(0.01, ge=0, description="Least gap between objects.")
     renderer: Renderer = Field(
@@ -233,8 +235,8 @@ def draw_scene(config: TabletopConfig, objects: ObjectSet, number: int, cache: P
     then = [_other(rest, rng) for rest in rests] if config.poses == "stable" else now
     yaws = rng.uniform(-np.pi, np.pi, count)
     turns = np.radians(rng.uniform(-config.rotation_deg, config.rotation_deg, count))
-    goal = arrange(then, yaws.tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
-    current = arrange(now, (yaws + turns).tolist(), _TABLE_RADIUS_M, config.clearance_m, rng)
+    goal = arrange(then, yaws.tolist(), config.radius_m, config.clearance_m, rng)
+    current = arrange(now, (yaws + turns).tolist(), config.radius_m, config.clearance_m, rng)
     return TabletopScene(config, number, assets, _poses(current, now), _poses(goal, then))
 
 

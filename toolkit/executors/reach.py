@@ -21,7 +21,7 @@ _JUMP_RAD = 0.4
 _SPARE_M = 0.005
 """Antipodal grasps open this much wider on each side."""
 
-_LIFTS_M = (0.15, 0.10, 0.06)
+_LIFT_M, _LEAST_LIFT_M = 0.15, 0.06
 _MOST_MOTIONS = 3
 """Grasps whose free motion is searched for at most."""
 
@@ -30,7 +30,7 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 _REASONS = (
     "no IK solution reaches any grasp",
-    "no straight way leads to any grasp without touching something",
+    "no straight way leads to any grasp and up from it without touching something",
     "the goal is out of the arm's reach with every grasp",
     "on the straight way to the place arm or object would touch something",
 )
@@ -129,9 +129,9 @@ class Reach:
         closed = grasp.opening - 2 * _SPARE_M
         T_tips_hand = invert(robot.T_hand_tips(max(closed, 0.0)))
         hand = grasp.T_world_gripper @ turn @ T_tips_hand
-        back = -self._approach_m * hand[:3, :3] @ robot.model.R_hand_gripper[:, 2]
         place = T_place_pick @ hand
-        place_back = -self._approach_m * place[:3, :3] @ robot.model.R_hand_gripper[:, 2]
+        back, place_back = (-self._approach_m * T[:3, :3] @ robot.model.R_hand_gripper[:, 2] for T in (hand, place))
+        up = np.array([0, 0, _LIFT_M])
         drive = robot.drive_for(grasp.opening)
         at_grasps = self._solve(hand, q)[:3]
         if at_grasps and not self._solve(place, q):
@@ -143,28 +143,34 @@ class Reach:
             scene.arrange(poses, drive)
             scene.approach(number)
             furthest = max(furthest, 1)
-            approach = self._line(at_grasp, _shifted(hand, back)) if scene.free(at_grasp) else None
+            approach = self._line(at_grasp, back) if scene.free(at_grasp) else None
             if approach is None or not all(map(scene.free, approach)):
                 continue
-            scene.carry(number, scene.object_in_hand(at_grasp, poses[number]))
-            for height in _LIFTS_M:
-                up = np.array([0, 0, height])
-                lift = self._line(at_grasp, _shifted(hand, up))
-                furthest = max(furthest, 2)
-                if lift is None:
+            in_hand = scene.object_in_hand(at_grasp, poses[number])
+            scene.carry(number, in_hand)
+            lift = self._rise(at_grasp, up)
+            if lift is None:
+                continue
+            furthest = max(furthest, 2)
+            for at_place in self._solve(place, lift[-1])[:3]:
+                retreat = self._line(at_place, place_back)
+                if retreat is None:
                     continue
-                for at_place in self._solve(place, lift[-1])[:3]:
-                    lower = self._line(at_place, _shifted(place, up))
-                    retreat = self._line(at_place, _shifted(place, place_back))
-                    if lower is None or retreat is None:
-                        continue
-                    furthest = max(furthest, 3)
-                    if all(map(scene.free, (*lift[1:], *lower[1:]))) and self._leaves(
-                        number, T_place_pick, poses, retreat, drive
-                    ):
-                        return Lines(approach[::-1], lift, lower[::-1], retreat)
-                    scene.carry(number, scene.object_in_hand(at_grasp, poses[number]))
+                furthest = 3
+                scene.carry(number, in_hand)
+                lower = self._rise(at_place, up)
+                if lower is not None and self._leaves(number, T_place_pick, poses, retreat, drive):
+                    steps = min(len(lift), len(lower))
+                    return Lines(approach[::-1], lift[:steps], lower[:steps][::-1], retreat)
         return furthest
+
+    def _rise(self, q: Float, up: Float) -> Float | None:
+        """A line as far up as arm and load stay clear and the arm reaches; None where that is not high enough."""
+        path = self._line(q, up, _LEAST_LIFT_M)
+        if path is None:
+            return None
+        clear = next((i for i, q in enumerate(path[1:], 1) if not self._scene.free(q)), len(path))
+        return path[:clear] if clear > _steps(_LEAST_LIFT_M) else None
 
     def _can_be_centred(self, number: int, poses: Sequence[Float], closing: Float) -> bool:
         """Say whether the finger that comes first may push the object along (3,) without pushing others."""
@@ -209,19 +215,26 @@ class Reach:
                 unlike.append(q)
         return unlike
 
-    def _line(self, q: Float, end: Float) -> Float | None:
-        """(N, J) joint angles along a straight line of the hand, from where it is at `q`; None where it gets stuck."""
+    def _line(self, q: Float, way: Float, least_m: float | None = None) -> Float | None:
+        """(N, J) joint angles along a straight way (3,) of the hand from where it is at `q`.
+
+        None where it gets stuck, unless it has come `least_m` by then: the part up to there.
+        """
         chain = self._scene.robot.chain
         start = self._scene.hand_at(q)
-        count = max(1, int(np.ceil(np.linalg.norm(end[:3, 3] - start[:3, 3]) / _LINE_STEP_M)))
+        count = _steps(float(np.linalg.norm(way)))
         path = [q]
         for part in np.linspace(0, 1, count + 1)[1:]:
-            target = make_transform(start[:3, :3], (1 - part) * start[:3, 3] + part * end[:3, 3])
-            found = chain.solve(target, path[-1][None])
+            found = chain.solve(_shifted(start, part * way), path[-1][None])
             if not len(found) or np.abs(found[0] - path[-1]).max() > _JUMP_RAD:
-                return None
+                break
             path.append(found[0])
-        return np.array(path)
+        enough = count if least_m is None else _steps(least_m)
+        return np.array(path) if len(path) > enough else None
+
+
+def _steps(way_m: float) -> int:
+    return max(1, int(np.ceil(way_m / _LINE_STEP_M - 1e-9)))
 
 
 def _shifted(T: Float, by: Float) -> Float:

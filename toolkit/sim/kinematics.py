@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,16 +39,22 @@ class Chain:
 
     def frames(self, q: Float) -> tuple[Float, Float]:
         """(S, J, 4, 4) world frames of the joints, and (S, 4, 4) of the end, for (S, J) angles."""
-        K = _cross_matrices(self.axes)
         angle = q[..., None, None]
-        turns = np.tile(np.eye(4), (*q.shape, 1, 1))
-        turns[..., :3, :3] += np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)  # Rodrigues
-        frame = np.tile(self.T_base, (len(q), 1, 1))
-        joints: list[Float] = []
+        constant, sine, cosine = self._steps
+        steps = constant + np.sin(angle) * sine + np.cos(angle) * cosine
+        joints = np.empty_like(steps)
+        frame = self.T_base
         for i in range(q.shape[1]):
-            frame = frame @ self.T_joints[i] @ turns[:, i]
-            joints.append(frame)
-        return np.stack(joints, axis=1), frame @ self.T_end
+            frame = np.matmul(frame, steps[:, i], out=joints[:, i])
+        return joints, frame @ self.T_end
+
+    @cached_property
+    def _steps(self) -> tuple[Float, Float, Float]:
+        """(J, 4, 4) each: a joint's frame in the one before it is the first, plus sine and cosine times the others."""
+        K = np.zeros((len(self.axes), 4, 4))
+        K[:, :3, :3] = _cross_matrices(self.axes)
+        turned, back = self.T_joints @ K, self.T_joints @ K @ K
+        return self.T_joints + back, turned, -back  # Rodrigues
 
     def solve(self, T_world_end: Float, starts: Float) -> Float:
         """(K, J) angles within the limits that bring the end to a (4, 4) pose, from (S, J) starts; K <= S.
@@ -55,17 +62,19 @@ class Chain:
         Damped least squares from all starts at once; in the order of the starts (Wampler, IEEE T-SMC 1986).
         """
         q = np.array(starts, np.float64)
-        for _ in range(_STEPS):
-            error, jacobian = self._linearize(q, T_world_end)
-            if self._there(error).all():
+        away = np.arange(len(q))
+        for step_number in range(_STEPS + 1):
+            error, jacobian = self._linearize(q[away], T_world_end)
+            on = ~self._there(error)
+            away, error, jacobian = away[on], error[on], jacobian[on]
+            if not len(away) or step_number == _STEPS:
                 break
             transposed = np.swapaxes(jacobian, 1, 2)
             step = transposed @ np.linalg.solve(jacobian @ transposed + _DAMPING * np.eye(6), error[..., None])
             step = step[..., 0]
             step *= np.minimum(1, _MOST_RAD / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-            q = np.clip(q + step, self.lower, self.upper)
-        error, _ = self._linearize(q, T_world_end)
-        return q[self._there(error)]
+            q[away] = np.clip(q[away] + step, self.lower, self.upper)
+        return np.delete(q, away, axis=0)
 
     def _linearize(self, q: Float, target: Float) -> tuple[Float, Float]:
         """(S, 6) what is missing, and (S, 6, J) how the joints change it; metres first, then radians."""
@@ -73,8 +82,9 @@ class Chain:
         turn = _rotation_vectors(target[:3, :3] @ np.swapaxes(end[:, :3, :3], 1, 2))
         axes = (joints[..., :3, :3] @ self.axes[None, :, :, None])[..., 0]
         arms = end[:, None, :3, 3] - joints[..., :3, 3]
-        jacobian = np.concatenate([np.cross(axes, arms), axes], axis=2)
-        return np.concatenate([target[:3, 3] - end[:, :3, 3], turn], axis=1), np.swapaxes(jacobian, 1, 2)
+        (ax, ay, az), (x, y, z) = np.moveaxis(axes, 2, 0), np.moveaxis(arms, 2, 0)
+        jacobian = np.stack([ay * z - az * y, az * x - ax * z, ax * y - ay * x, ax, ay, az], axis=1)
+        return np.concatenate([target[:3, 3] - end[:, :3, 3], turn], axis=1), jacobian
 
     @staticmethod
     def _there(error: Float) -> np.ndarray:
