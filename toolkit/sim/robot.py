@@ -19,6 +19,7 @@ _MOTOR = 150.0
 """Strong enough that the arm follows its path; what it can lift is for the gripper's friction to say."""
 
 _COUPLING = 50.0
+_GEAR = 200.0
 _TURNS = 2 * np.pi
 """Joints without limits turn this far either way."""
 
@@ -78,6 +79,7 @@ class Robot:
         self.chain = self._chain(infos)
         self._measure_gripper()
         self.set(np.array(model.home))
+        self._couple_fingers()
         for tip in self.tips:
             pybullet.changeDynamics(self.body, tip, lateralFriction=_FRICTION, physicsClientId=client)
             pybullet.changeDynamics(self.body, tip, spinningFriction=0.005, physicsClientId=client)
@@ -93,6 +95,27 @@ class Robot:
         axes = np.array([infos[joint][13] for joint in self._arm])
         T_end = invert(frames[-1]) @ self._link_pose(self.hand)
         return Chain(T_base, T_joints, axes, T_end, limits[:, 0], limits[:, 1])
+
+    def _couple_fingers(self) -> None:
+        """One drive moves both fingers: what they hold cannot push them aside together, as two motors would let it."""
+        (one, first), (other, second) = (
+            (joint, ratio)
+            for name, joint, ratio in zip(self.model.fingers, self._fingers, self._ratios, strict=True)
+            if _is_driven(name)
+        )
+        gear = pybullet.createConstraint(
+            self.body,
+            one,
+            self.body,
+            other,
+            pybullet.JOINT_GEAR,
+            [1, 0, 0],
+            [0, 0, 0],
+            [0, 0, 0],
+            physicsClientId=self.client,
+        )
+        ratio = -float(first / second)
+        pybullet.changeConstraint(gear, gearRatio=ratio, erp=0.2, maxForce=_GEAR, physicsClientId=self.client)
 
     def _measure_gripper(self) -> None:
         """Opening and reach of the fingertips over the whole way of the drive, from their meshes."""
@@ -184,7 +207,7 @@ class Robot:
         names = list(self.model.fingers)
         states = pybullet.getJointStates(self.body, self._fingers, physicsClientId=self.client)
         now = {name: state[0] / ratio for name, state, ratio in zip(names, states, self._ratios, strict=True)}
-        drivers = [name for name in names if "inner" not in name and "tip" not in name]
+        drivers = [name for name in names if _is_driven(name)]
         for name, joint, ratio in zip(names, self._fingers, self._ratios.tolist(), strict=True):
             driven = name in drivers
             side = next((own for own in drivers if ("left" in own) == ("left" in name)), name)
@@ -198,3 +221,8 @@ class Robot:
                 positionGain=0.2 if driven else 0.8,
                 physicsClientId=self.client,
             )
+
+
+def _is_driven(finger: str) -> bool:
+    """Say whether a joint of the gripper is next to the palm, where the drive's force acts."""
+    return "inner" not in finger and "tip" not in finger
