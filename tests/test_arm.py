@@ -12,6 +12,8 @@ from toolkit.errors import ToolkitError
 from toolkit.executors.arm import Arm, ArmConfig
 from toolkit.geometry import make_transform, transform_points
 from toolkit.moves import PickPlace
+from toolkit.sim.bench import Bench
+from toolkit.sim.bullet import pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robots import ROBOTS
 
@@ -82,7 +84,6 @@ def test_moves_succeed_touch_nothing_else_and_repeat(scene, arm):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="objects that closing fingers pushed aside are not found where they were")
 @pytest.mark.parametrize("robot", ["panda", "gen3"])
 def test_a_hundred_moves_touch_nothing_else(scene, robot):
     executor = Arm(ArmConfig(robot=robot))
@@ -120,6 +121,37 @@ def test_the_gripper_and_the_chain_are_the_description_s(scene):
     (found, *_) = robot.chain.solve(hand, q[None] + 0.1)
     np.testing.assert_allclose(clearance.hand_at(found), hand, atol=1e-3)
     clearance.close()
+
+
+def test_one_drive_moves_both_fingers():
+    """Pushed to one side with more than their force, they yield together or not at all."""
+    bench = Bench(ROBOTS["panda"], np.eye(4), [], [])
+    robot = bench.robot
+    bench.grip = 0.02
+    bench.wait(0.5, "opening", None)
+    push = 2 * robot.model.grip * robot.T_world_hand()[:3, :3] @ robot.model.R_hand_gripper[:, 0]
+    for _ in range(120):
+        for tip in robot.tips:
+            at = pybullet.getLinkState(robot.body, tip, physicsClientId=bench.client)[0]
+            pybullet.applyExternalForce(
+                robot.body, tip, push.tolist(), at, pybullet.WORLD_FRAME, physicsClientId=bench.client
+            )
+        bench.step(bench.target, np.zeros(7), "holding", None)
+    ways = [state[0] for state in pybullet.getJointStates(robot.body, [9, 10], physicsClientId=bench.client)]
+    bench.close()
+    np.testing.assert_allclose(ways, 0.02, atol=5e-4)
+
+
+def test_an_object_is_found_below_the_arm(scene):
+    (asset, *_), (pose, *_) = scene.assets, scene.current
+    bench = Bench(ROBOTS["panda"], np.eye(4), [], [])
+    x, y, _ = bench.robot.T_world_hand()[:3, 3]
+    bench.close()
+    below = make_transform(pose[:3, :3], np.array([x, y, pose[2, 3]]))
+    bench = Bench(ROBOTS["panda"], np.eye(4), [(asset.hulls, asset.mass_kg)], [below])
+    points, _ = trimesh.sample.sample_surface(trimesh.load(asset.mesh, force="mesh"), 50, seed=0)
+    assert bench.under(transform_points(below, np.asarray(points))) == 0
+    bench.close()
 
 
 def test_an_unknown_motion_planner_is_a_mistake(scene):

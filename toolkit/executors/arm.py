@@ -12,7 +12,7 @@ from toolkit.data.table import HALF_SIDE_M
 from toolkit.data.tabletop import Studio, TabletopScene, filming_camera
 from toolkit.executors.reach import Reach, Way
 from toolkit.footprints import Footprint
-from toolkit.geometry import rotation_angle, rotation_z, transform_points
+from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.grasps.antipodal import Antipodal, AntipodalConfig
 from toolkit.moves import Outcome, PickPlace
 from toolkit.paths import cache_root
@@ -113,11 +113,12 @@ class Arm(Plugin):
 
     def home(self) -> None:
         """See Executor; where no motion leads there, it stays."""
-        q, home = self._bench.target, np.array(self._model.home)
-        if np.abs(q - home).max() < 1e-6:
+        home = np.array(self._model.home)
+        if np.abs(self._bench.target - home).max() < 1e-6:
             return
+        self._back_off(None)
         self._scene.arrange(self._bench.poses(), self._bench.robot.drive)
-        path = self._reach().motion(q, home)
+        path = self._reach().motion(self._bench.target, home)
         if not isinstance(path, Failure):
             self._follow(path, self.config.joint_speed, "going home", None)
 
@@ -157,9 +158,17 @@ class Arm(Plugin):
                 return grasps
             opens = 100 * self._model.stroke_m
             return Failure("executor", f"the object is {100 * wide:.1f} cm wide, the gripper opens {opens:.1f} cm")
+        self._back_off(number)
         poses = self._bench.poses()
         way = self._reach().plan(self._bench.target, number, poses, grasps, request.T_place_pick)
         return way if isinstance(way, Failure) else self._execute(way, number, request.T_place_pick @ poses[number])
+
+    def _back_off(self, number: int | None) -> None:
+        """Leave what came to lean on the arm: no motion starts in a contact."""
+        self._scene.arrange(self._bench.poses(), self._bench.robot.drive)
+        path = self._reach().way_out(self._bench.target)
+        if len(path) > 1:
+            self._follow(path, self.config.line_speed, "backing off", number)
 
     def _reach(self) -> Reach:
         return Reach(self._scene, self._motion, self.config.approach_m, self._moves)
@@ -171,10 +180,13 @@ class Arm(Plugin):
         self._follow(way.to_grasp, fast, "going to the grasp", None)
         self._follow(way.approach, slow, "approaching", number)
         self._close(number)
+        in_hand = self._in_hand(number)
         self._follow(way.lift, slow, "lifting", number)
-        if not bench.held(number):
-            self._let_go(way, way.lift[-1], number)
-            return Failure("executor", "the object slipped out of the gripper while it was lifted")
+        turned = rotation_angle(self._in_hand(number)[:3, :3] @ in_hand[:3, :3].T)
+        lost = "slipped out of" if not bench.held(number) else "turned in"
+        if lost == "slipped out of" or np.degrees(turned) > self.config.off_deg:
+            self._put_back(way, number)
+            return Failure("executor", f"the object {lost} the gripper while it was lifted")
         self._follow(way.transfer, fast, "carrying", number)
         if not bench.held(number):
             self._let_go(way, way.lower[0], number)
@@ -197,12 +209,29 @@ class Arm(Plugin):
         bench.grip = bench.robot.drive + _SQUEEZE * (closed - opened)
         bench.wait(0.3, "grasping", number)
 
-    def _let_go(self, way: Way, q: Float, number: int) -> None:
+    def _put_back(self, way: Way, number: int) -> None:
+        """Set down what was lifted, where it came from."""
         bench = self._bench
-        start, end = bench.grip, bench.robot.drive_for(way.opening)
+        self._follow(way.lift[::-1], self.config.line_speed, "putting back", number, lambda: bench.on_table(number))
+        self._let_go(way, bench.target, number)
+        back = np.concatenate([bench.target[None], way.approach[::-1]])
+        self._follow(back, self.config.line_speed, "retreating", number)
+
+    def _let_go(self, way: Way, q: Float, number: int) -> None:
+        """Open as far as there is room for; what has turned and sticks between the fingers, as far as it takes."""
+        self._open(self._bench.robot.drive_for(way.opening), q, number)
+        if self._bench.held(number):
+            self._open(self._model.drive[0], q, number)
+
+    def _open(self, drive: float, q: Float, number: int) -> None:
+        start = self._bench.grip
         for part in np.linspace(0, 1, round(_RELEASE_S / STEP_S)):
-            bench.grip = (1 - part) * start + part * end
-            bench.step(q, np.zeros(len(q)), "releasing", number)
+            self._bench.grip = (1 - part) * start + part * drive
+            self._bench.step(q, np.zeros(len(q)), "releasing", number)
+
+    def _in_hand(self, number: int) -> Float:
+        """(4, 4) an object's pose in the hand's frame."""
+        return invert(self._bench.robot.T_world_hand()) @ self._bench.pose(number)
 
     def _off(self, pose: Float, wanted: Float) -> Failure | None:
         shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))

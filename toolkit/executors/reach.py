@@ -195,6 +195,19 @@ class Reach:
             return transfer
         return Way(opening, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
 
+    def way_out(self, q: Float) -> Float:
+        """(N, J) straight back along the gripper's axis to where nothing is touched, in the scene as it is arranged.
+
+        N is 1 where nothing is touched at `q`, or nowhere on that way.
+        """
+        hand = self._scene.hand_at(q)
+        back = -self._approach_m * hand[:3, :3] @ self._scene.robot.model.R_hand_gripper[:, 2]
+        path = self._line(q, back, 0.0)
+        if path is None:
+            return q[None]
+        clear = next((i for i, on_way in enumerate(path) if self._scene.free(on_way)), 0)
+        return path[: clear + 1]
+
     def motion(self, start: Float, goal: Float) -> Float | Failure:
         """A free motion in the scene as it is arranged; joints without limits turn the shorter way."""
         chain = self._scene.robot.chain

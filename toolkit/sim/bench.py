@@ -21,6 +21,8 @@ STEP_S = 1 / 240
 _FRICTION, _TABLE_FRICTION = 0.8, 0.6
 _ROLLING = 0.0005
 _RAY_TOP_M, _RAY_BELOW_M = 2.0, 0.003
+_ROBOT, _ALL = 64, -1
+"""Bullet's collision groups: the robot's own, so that rays can look past it."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Bench:
         self.table: int = pybullet.createMultiBody(0, plane, physicsClientId=self.client)
         pybullet.changeDynamics(self.table, -1, lateralFriction=_TABLE_FRICTION, physicsClientId=self.client)
         self.robot = Robot(self.client, model, T_world_base)
+        for link in range(-1, pybullet.getNumJoints(self.robot.body, physicsClientId=self.client)):
+            pybullet.setCollisionFilterGroupMask(self.robot.body, link, _ROBOT, _ALL, physicsClientId=self.client)
         for link in self.robot.base_links:
             pybullet.setCollisionFilterPair(self.robot.body, self.table, link, -1, 0, physicsClientId=self.client)
         with silence():
@@ -115,10 +119,15 @@ class Bench:
         return [self.pose(number) for number in range(len(self._added))]
 
     def under(self, points: Float) -> int | None:
-        """The object that vertical rays through most of (N, 3) points meet first; None where they meet none."""
+        """The object that vertical rays through most of (N, 3) points meet first; None where they meet none.
+
+        The arm is no obstacle to them.
+        """
         above = np.column_stack([points[:, :2], np.full(len(points), _RAY_TOP_M)])
         below = points - np.array([0, 0, _RAY_BELOW_M])
-        hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
+        hits = pybullet.rayTestBatch(
+            above.tolist(), below.tolist(), collisionFilterMask=_ALL ^ _ROBOT, physicsClientId=self.client
+        )
         numbers = {body: number for number, (body, _) in enumerate(self._added)}
         counts = Counter(numbers[hit[0]] for hit in hits if hit[0] in numbers)
         return min(counts, key=lambda number: (-counts[number], number), default=None)
