@@ -291,6 +291,14 @@ def test_a_failed_move_is_planned_again_and_then_worked_around():
     assert step.failures[1].reason == "it cannot be moved"
 
 
+def test_a_turn_that_leaves_the_footprint_as_it_was_is_not_tried_for_ever():
+    half_turn = make_transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    table = Table((Item.seen(0, BOX, half_turn),))
+    schedule = PLANNERS.create("optimal", {"tries": 2}).start(0)
+    steps = [schedule.next(table) for _ in range(3)]  # it slips every time
+    assert [isinstance(step, Finished) for step in steps] == [False, False, True]
+
+
 def test_the_newest_motion_is_the_one_that_is_carried_out():
     table = Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (-0.2, 0))))
     schedule = PLANNERS.create("optimal").start(0)

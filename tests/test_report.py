@@ -14,8 +14,9 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.pictures import overlay
 from toolkit.report import write_report
-from toolkit.results import Row, print_table, read_rows, summarize, write_rows
+from toolkit.results import Row, read_rows, summarize, write_rows
 from toolkit.stats import holm, mcnemar
+from toolkit.tables import motion_table
 
 
 def make_rows(cell, share, dataset="a", scenes=20, **fields):
@@ -127,11 +128,20 @@ def test_rows_survive_their_file(tmp_path):
 @pytest.mark.parametrize("width", [80, 140])
 def test_the_table_fits_its_console(width):
     console = Console(width=width, record=True, file=io.StringIO())
-    print_table(summarize(make_rows("rotation_deg=180,views=all", 0.9)), console)
+    motion_table(summarize(make_rows("rotation_deg=180,views=all", 0.9))).print(console)
     text = console.export_text()
     assert "rotation_deg=180,views=all" in text
     assert "1.00 [1.00, 1.00]" in text and "90% [80, 95]" in text
     assert ("matcher calls" in text) == (width > 110)
+
+
+def test_the_page_comes_with_its_table_as_markdown(tmp_path):
+    write_rows(tmp_path / "rows.jsonl", make_rows("rotation_deg=180,views=all", 0.9))
+    write_report(tmp_path)
+    heading, _, line, paper = (tmp_path / "summary.md").read_text().splitlines()
+    assert heading.startswith("| cell | rotation, deg | p90 |") and "| 90% [80, 95] |" in line
+    assert paper.startswith("| *paper, Table I* | *0.25* |  | *0.18* |")
+    assert heading.count("|") == line.count("|") == paper.count("|")
 
 
 def test_an_outline_lies_around_the_object(capture):

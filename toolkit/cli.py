@@ -87,17 +87,18 @@ def rearrange(
     """Perceive, plan and move in simulation until every object stands at its goal; print how often that works."""
     from rich.console import Console
 
-    from toolkit.completion import MoveRow, print_completion, summarize_completion
+    from toolkit.completion import MoveRow, summarize_completion
     from toolkit.progress import Progress
     from toolkit.rearrange import run_rearrangement
     from toolkit.results import read_rows_as
     from toolkit.runs import ROWS
+    from toolkit.tables import completion_table
 
     options = run_options(choices, **run)
     loaded = read_experiment(experiment, choices, rearranges=True)
     folder = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
     console = Console()
-    print_completion(summarize_completion(read_rows_as(MoveRow, folder / ROWS)), console)
+    completion_table(summarize_completion(read_rows_as(MoveRow, folder / ROWS))).print(console)
     console.print(f"\nReport: {folder / 'report.html'}", highlight=False, soft_wrap=True)
 
 
@@ -136,14 +137,15 @@ def evaluate(
 
     from toolkit.estimate import evaluate_folder
     from toolkit.progress import Progress
-    from toolkit.results import print_table, summarize
+    from toolkit.results import summarize
+    from toolkit.tables import motion_table
 
     folder = out or Path("runs") / "evaluate" / dataset.resolve().name
     progress = Progress(Console(stderr=True))
     rows = evaluate_folder(dataset, _single_cell(experiment, choices), folder, progress)
     console = Console()
     if rows:
-        print_table(summarize(rows), console)
+        motion_table(summarize(rows)).print(console)
     console.print(f"\nWritten: {folder}", highlight=False, soft_wrap=True)
 
 
@@ -156,11 +158,12 @@ def report(
     from rich.console import Console
 
     from toolkit.comparisons import print_results
-    from toolkit.completion import MoveRow, print_completion, summarize_completion
+    from toolkit.completion import MoveRow, summarize_completion
     from toolkit.merge import merge_shards
     from toolkit.report import write_completion_report, write_report
     from toolkit.results import read_rows, read_rows_as
     from toolkit.runs import ROWS, rearranges, require_run
+    from toolkit.tables import completion_table
 
     for folder in runs:
         require_run(folder)
@@ -169,7 +172,7 @@ def report(
     run = runs[0] if out is None else merge_shards(runs, out)
     console = Console()
     if rearranges(run):
-        print_completion(summarize_completion(read_rows_as(MoveRow, run / ROWS)), console)
+        completion_table(summarize_completion(read_rows_as(MoveRow, run / ROWS))).print(console)
         page = write_completion_report(run)
     else:
         print_results(read_rows(run / ROWS), console)

@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from toolkit.results import CellSummary, Row, print_table, summarize
+from toolkit.results import CellSummary, Row, summarize
 from toolkit.stats import (
     PairedDifference,
     holm,
@@ -21,6 +21,7 @@ from toolkit.stats import (
     resolvable_difference,
     scenes_to_resolve,
 )
+from toolkit.tables import motion_table
 
 AS_IT_IS = "as it is"
 """The cell that others are compared with in an attribution: the experiment without any truth put in."""
@@ -160,7 +161,7 @@ def _show(difference: PairedDifference) -> str:
 def print_results(rows: Sequence[Row], console: Console) -> None:
     """Print a run's table, its comparisons, and what an attribution leaves."""
     summaries = summarize(rows)
-    print_table(summaries, console)
+    motion_table(summaries).print(console)
     print_comparisons(compare_cells(rows), console)
     if left := remainder(summaries):
         console.print(left, highlight=False)

@@ -8,9 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from toolkit.results import Estimate, SceneRow
 from toolkit.stats import bootstrap_interval, wilson_interval
@@ -130,54 +127,3 @@ def _moves_per_object(scenes: dict[int, list[MoveRow]]) -> Estimate:
         return float(chosen[:, 0].sum() / chosen[:, 1].sum())
 
     return Estimate(ratio(pairs), bootstrap_interval(pairs, np.array(list(scenes)), ratio))
-
-
-def print_completion(summaries: Sequence[CompletionSummary], console: Console) -> None:
-    """Print one line a cell, with the paper's figure under it where the cell is one of Table II's.
-
-    Moves are those an object. A console narrower than 110 columns gets the shares and the moves; the rest is in
-    summary.csv.
-    """
-    from toolkit.report.paper_figures import paper_completion
-
-    table = Table(
-        title="Scenes with every object within 2 cm and 5 deg, symmetry-aware; [95 % interval]",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-    )
-    table.add_column("cell", overflow="fold")
-    for column in ("scenes done", "in one step", "objects right", "moves"):
-        table.add_column(column, no_wrap=True)
-    wide = console.width >= 110
-    if wide:
-        for column in ("aside", "rounds", "see, s", "plan, ms", "move, s"):
-            table.add_column(column, no_wrap=True, justify="right")
-    for s in summaries:
-        rest = (
-            f"{s.buffer_moves_per_scene:.2f}",
-            f"{s.rounds:.1f}",
-            f"{s.perception_s:.1f}",
-            f"{s.planning_ms:.0f}",
-            f"{s.motion_s:.0f}",
-        )
-        low, high = s.moves_per_object.interval
-        table.add_row(
-            s.cell,
-            show_share(s.completion_sym),
-            show_share(s.completion_sym_one_step),
-            show_share(s.success_sym),
-            f"{s.moves_per_object.value:.2f} [{low:.2f}, {high:.2f}]",
-            *(rest if wide else ()),
-        )
-        paper = paper_completion(s.settings)
-        if paper is not None:
-            table.add_row("  paper, Table II", f"{paper:.1%}", style="dim")
-    console.print(table)
-
-
-def show_share(estimate: Estimate) -> str:
-    """A share with its interval, in per cent."""
-    low, high = (100 * bound for bound in estimate.interval)
-    return f"{estimate.value:.0%} [{low:.0f}, {high:.0f}]"

@@ -12,9 +12,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
@@ -242,56 +239,3 @@ def _flat(summary: object) -> dict[str, Any]:
         elif key != "settings":
             flat[key] = value
     return flat
-
-
-def print_table(summaries: Sequence[CellSummary], console: Console) -> None:
-    """Print one line a cell, with the paper's figures under it where the cell is one of Table I's.
-
-    A console narrower than 110 columns gets the errors and the success; the rest is in summary.csv.
-    """
-    from toolkit.report.paper_figures import paper_medians
-
-    wide = console.width >= 110
-    table = Table(
-        title="Motion of every object, symmetry-aware; median [95 % interval]",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-    )
-    table.add_column("cell", overflow="fold")
-    for column in ("rotation, deg", "translation, cm", "5 deg 2 cm"):
-        table.add_column(column, no_wrap=True)
-    if wide:
-        for column in ("scenes done", "objects", "matcher calls", "ms / object"):
-            table.add_column(column, no_wrap=True, justify="left" if column == "scenes done" else "right")
-    for s in summaries:
-        rest = (_show_share(s.completion_sym), str(s.objects), f"{s.matcher_calls:.1f}", f"{s.total_ms:.0f}")
-        table.add_row(
-            s.cell,
-            _show(s.rotation_median_deg_sym),
-            _show(s.translation_median_cm_sym),
-            _show_share(s.success_sym),
-            *(rest if wide else ()),
-        )
-        paper = paper_medians(s.settings)
-        if paper:
-            table.add_row("  paper, Table I", *map(_number, paper), style="dim")
-    console.print(table)
-
-
-def _show(estimate: Estimate) -> str:
-    low, high = map(_number, estimate.interval)
-    return f"{_number(estimate.value)} [{low}, {high}]"
-
-
-def _number(value: float) -> str:
-    """Three figures, or fewer below 1."""
-    if not np.isfinite(value):
-        return "∞"
-    return f"{value:.{2 if value < 10 else 1 if value < 100 else 0}f}"
-
-
-def _show_share(estimate: Estimate) -> str:
-    low, high = (100 * bound for bound in estimate.interval)
-    return f"{estimate.value:.0%} [{low:.0f}, {high:.0f}]"

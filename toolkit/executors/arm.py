@@ -182,9 +182,7 @@ class Arm(Plugin):
         self._close(number)
         in_hand = self._in_hand(number)
         self._follow(way.lift, slow, "lifting", number)
-        turned = rotation_angle(self._in_hand(number)[:3, :3] @ in_hand[:3, :3].T)
-        lost = "slipped out of" if not bench.held(number) else "turned in"
-        if lost == "slipped out of" or np.degrees(turned) > self.config.off_deg:
+        if lost := self._lost(number, in_hand):
             self._put_back(way, number)
             return Failure("executor", f"the object {lost} the gripper while it was lifted")
         self._follow(way.transfer, fast, "carrying", number)
@@ -228,6 +226,14 @@ class Arm(Plugin):
         for part in np.linspace(0, 1, round(_RELEASE_S / STEP_S)):
             self._bench.grip = (1 - part) * start + part * drive
             self._bench.step(q, np.zeros(len(q)), "releasing", number)
+
+    def _lost(self, number: int, in_hand: Float) -> str | None:
+        """What has become of the hold on an object, which was at a (4, 4) pose in the hand; None if nothing."""
+        now = self._in_hand(number)
+        if not self._bench.held(number) or np.linalg.norm(now[:3, 3] - in_hand[:3, 3]) > self.config.off_m / 2:
+            return "slipped in"
+        turned = np.degrees(rotation_angle(now[:3, :3] @ in_hand[:3, :3].T))
+        return "turned in" if turned > self.config.off_deg else None
 
     def _in_hand(self, number: int) -> Float:
         """(4, 4) an object's pose in the hand's frame."""

@@ -224,12 +224,17 @@ class OptimalSchedule:
         return move
 
     def _look_at_last(self, table: Table) -> None:
-        """An object that is not where it was put has failed; it is tried again when nothing else is left to do."""
-        last = self._last
-        if last is not None and not _same_place(table.item(last.object).footprint, last.footprint):
+        """An object that is not where it was put has failed; it is tried again when nothing else is left to do.
+
+        Where a turn leaves the footprint as it was, its goal tells: it has it no more once it is there.
+        """
+        last, self._last = self._last, None
+        if last is None:
+            return
+        now = table.item(last.object)
+        if not _same_place(now.footprint, last.footprint) or (last.to == "goal" and now.wanted):
             self._failed[last.object] = self._failed.get(last.object, 0) + 1
             self._postponed.add(last.object)
-        self._last = None
 
     def _hold(self, table: Table) -> Table:
         """The table with the objects fixed that are postponed, or have failed too often."""

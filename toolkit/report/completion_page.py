@@ -15,13 +15,16 @@ import yaml
 from toolkit.completion import CompletionSummary, MoveRow, summarize_completion
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
-from toolkit.report.paper_figures import paper_completion
+from toolkit.paper_figures import paper_completion
 from toolkit.report.plots import cell_colors, success_by
 from toolkit.results import Estimate, read_rows_as
+from toolkit.tables import completion_table
 
 
 def write_completion_report(run: Path) -> Path:
     """Write run/report.html from the run's rows and settings; nothing in it is fetched from elsewhere.
+
+    Its table stands beside it as summary.md, and so do the reasons of failures.
 
     Raises:
         ToolkitError: the run has no rows.
@@ -52,7 +55,14 @@ def write_completion_report(run: Path) -> Path:
     )
     path = run / "report.html"
     write_text(path, page)
+    write_text(run / "summary.md", completion_table(summaries).markdown() + "\n" + _failures_markdown(rows))
     return path
+
+
+def _failures_markdown(rows: Sequence[MoveRow]) -> str:
+    """The reasons of failures, below the table of the cells."""
+    lines = [("cell", "stage", "reason", "objects"), ("---",) * 4, *failure_table(rows)]
+    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
 
 
 def failure_table(rows: Sequence[MoveRow]) -> list[tuple[str, str, str, int]]:

@@ -19,9 +19,10 @@ import yaml
 from toolkit.comparisons import compare_cells, points, remainder
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
-from toolkit.report.paper_figures import paper_medians
+from toolkit.paper_figures import paper_medians
 from toolkit.report.plots import cell_colors, confidence_curves, error_curves, success_by, time_by_stage
 from toolkit.results import CellSummary, Estimate, Row, read_rows, summarize
+from toolkit.tables import motion_table
 
 _JPEG_QUALITY = 82
 
@@ -34,6 +35,8 @@ class _Case:
 
 def write_report(run: Path) -> Path:
     """Write run/report.html from the run's rows, settings and pictures; nothing in it is fetched from elsewhere.
+
+    Its table stands beside it as summary.md.
 
     Raises:
         ToolkitError: the run has no rows.
@@ -72,6 +75,7 @@ def write_report(run: Path) -> Path:
     )
     path = run / "report.html"
     write_text(path, page)
+    write_text(run / "summary.md", motion_table(summaries).markdown())
     return path
 
 
