@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+MEASURE = runpy.run_path(str(ROOT / "docs" / "generate" / "measure.py"))
 LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
 
 
@@ -58,3 +60,47 @@ def test_the_readme_has_one_picture_and_two_commands():
         "pip install . && toolkit ablate",
         "pip install '.[test]' && pytest",
     ]
+
+
+def test_tables_are_put_under_the_commands_that_print_them():
+    page = """# One
+
+    toolkit dataset build captures    # --set track=d435
+    python experiments/benchmarks/some.py captures
+
+Words.
+
+| old |
+| --- |
+
+Another table:
+
+| kept |
+
+## Two
+
+    toolkit ablate quick
+
+| old |
+"""
+    asked = []
+
+    def measure(command):
+        asked.append(command)
+        return "| new |\n"
+
+    filled = MEASURE["fill"](page, measure)
+    assert asked == [
+        "toolkit dataset build captures",
+        "python experiments/benchmarks/some.py captures",
+        "toolkit ablate quick",
+    ]
+    assert filled == page.replace("| old |\n| --- |\n", "| new |\n").replace("| old |\n", "| new |\n")
+    assert MEASURE["fill"](page, measure, "Two") == page[: page.index("## Two")] + filled[filled.index("## Two") :]
+
+
+def test_every_command_above_a_table_of_results_is_found():
+    asked = []
+    MEASURE["fill"]((ROOT / "docs" / "results.md").read_text(), lambda command: asked.append(command) or "| |\n")
+    tables = re.findall(r"^\| -+ \|", (ROOT / "docs" / "results.md").read_text(), re.MULTILINE)
+    assert len([command for command in asked if not command.startswith("toolkit dataset")]) == len(tables) > 10

@@ -1,6 +1,6 @@
-"""Score and time every segmenter on a folder of captures with true masks; prints Markdown.
+"""Score and time segmenters on folders of captures with true masks; prints Markdown.
 
-python experiments/benchmarks/segmenters.py DATASET --scenes 20
+python experiments/benchmarks/segmenters.py DATASET... --scenes 20
 """
 
 from __future__ import annotations
@@ -53,28 +53,33 @@ class Tally:
 def main() -> None:
     """Parse the command line, score, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("dataset", type=Path, help="folder of capture folders")
-    parser.add_argument("--scenes", type=int, default=20, help="how many captures, from the first")
+    parser.add_argument("datasets", nargs="+", type=Path, help="folders of capture folders")
+    parser.add_argument("--scenes", type=int, default=20, help="how many captures of each, from the first")
     parser.add_argument("--segmenter", action="append", help="only these; all when left out")
     parser.add_argument("--images", choices=("goal", "current"), action="append", help="only these; both when left out")
     arguments = parser.parse_args()
-    captures = sorted(path.parent for path in arguments.dataset.glob("*/goal"))[: arguments.scenes]
-    if not captures:
-        parser.error(f"there is no capture in '{arguments.dataset}'")
     names = arguments.segmenter or SEGMENTERS.names()
-    tallies = {(name, kind): Tally() for name in names for kind in arguments.images or ("current", "goal")}
+    kinds = arguments.images or ["current", "goal"]
+    captures = {dataset: sorted(dataset.glob("*/goal"))[: arguments.scenes] for dataset in arguments.datasets}
+    if empty := [dataset for dataset, found in captures.items() if not found]:
+        parser.error(f"there is no capture in '{empty[0]}'")
     console = Console()
-    with Progress(Console(stderr=True)).step("segmenting", len(captures)) as advance:
-        for number, path in enumerate(captures):
-            capture = load_capture(path)
-            for name in names:
-                _score(name, capture, number, tallies)
-            advance(1)
-    console.print(f"{len(captures)} captures of {arguments.dataset}; recall and precision at IoU {MATCH_IOU}, mean IoU")
-    console.print("of the matches, 95 % intervals; median ms an image, what the scene's first image learns included.\n")
-    console.print("| segmenter | images | recall | precision | mean IoU | ms |\n| --- | --- | --- | --- | --- | --- |")
-    for (name, kind), tally in tallies.items():
-        console.print(tally.row(name, kind), soft_wrap=True, markup=False)
+    console.print(
+        f"Recall and precision at IoU {MATCH_IOU}, mean IoU of the matches, 95 % intervals; median ms an image,"
+    )
+    console.print("what the scene's first image learns included.\n")
+    console.print("| captures | segmenter | images | recall | precision | mean IoU | ms |")
+    console.print("| --- | --- | --- | --- | --- | --- | --- |")
+    for dataset, goals in captures.items():
+        tallies = {(name, kind): Tally() for name in names for kind in kinds}
+        with Progress(Console(stderr=True)).step(f"segmenting {dataset.name}", len(goals)) as advance:
+            for number, goal in enumerate(goals):
+                capture = load_capture(goal.parent)
+                for name in names:
+                    _score(name, capture, number, tallies)
+                advance(1)
+        for (name, kind), tally in tallies.items():
+            console.print(f"| {dataset.name} {tally.row(name, kind)}", soft_wrap=True, markup=False)
 
 
 def match(segments: list[Segment], truth: list[Mask]) -> list[float]:

@@ -27,6 +27,9 @@ from toolkit.types import Failure, Float, Frame, Image
 _RAYS = 64
 _SETTLE_S, _GRIP_S, _RELEASE_S, _REST_S = 0.5, 0.8, 0.5, 0.5
 _RAMP_S = 0.2
+_GIVES_M, _GIVES_DEG = 0.005, 5.0
+"""What moves further than this in the gripper while it is lifted is put back: it would not come to its place."""
+
 _SQUEEZE = 0.25
 """How far beyond the contact the fingers are driven, as a part of their whole way."""
 
@@ -230,10 +233,10 @@ class Arm(Plugin):
     def _lost(self, number: int, in_hand: Float) -> str | None:
         """What has become of the hold on an object, which was at a (4, 4) pose in the hand; None if nothing."""
         now = self._in_hand(number)
-        if not self._bench.held(number) or np.linalg.norm(now[:3, 3] - in_hand[:3, 3]) > self.config.off_m / 2:
+        if not self._bench.held(number) or np.linalg.norm(now[:3, 3] - in_hand[:3, 3]) > _GIVES_M:
             return "slipped in"
         turned = np.degrees(rotation_angle(now[:3, :3] @ in_hand[:3, :3].T))
-        return "turned in" if turned > self.config.off_deg else None
+        return "turned in" if turned > _GIVES_DEG else None
 
     def _in_hand(self, number: int) -> Float:
         """(4, 4) an object's pose in the hand's frame."""

@@ -46,6 +46,7 @@ class Clearance:
             pybullet.setCollisionFilterPair(self.robot.body, self._table, link, -1, 0, physicsClientId=self.client)
         self.carried: int | None = None
         self._ignored: int | None = None
+        self._neared: int | None = None
         self._T_hand_object = np.eye(4)
         self._lowest = 0.0
 
@@ -59,11 +60,11 @@ class Clearance:
         for body, pose in zip(self._bodies, poses, strict=True):
             self._place(body, pose)
         self.robot.set_drive(drive)
-        self.carried = self._ignored = None
+        self.carried = self._ignored = self._neared = None
 
     def approach(self, number: int) -> None:
-        """From now on the hand may touch one object."""
-        self._ignored = self._bodies[number]
+        """From now on the arm may come as near to one object as it can without touching it."""
+        self._neared = self._bodies[number]
 
     def carry(self, number: int, T_hand_object: Float, lowest: float = -0.02) -> None:
         """From now on an object moves with the hand, at a (4, 4) pose in its frame; not below `lowest` metres.
@@ -103,6 +104,8 @@ class Clearance:
             if other == self.robot.body:
                 if abs(self.robot.rank[contact[3]] - self.robot.rank[contact[4]]) >= _FAR_LINKS:
                     return "itself"
+            elif other == self._neared and contact[8] > -_GROW_M:
+                continue
             elif other != self._ignored and not (other == self._table and one in self.robot.base_links):
                 return self._name(other)
         if self.carried is None:
