@@ -27,7 +27,7 @@ from toolkit.types import Failure, Float, Frame, Image
 _RAYS = 64
 _SETTLE_S, _GRIP_S, _RELEASE_S, _REST_S = 0.5, 0.8, 0.5, 0.5
 _RAMP_S = 0.2
-_GIVES_M, _GIVES_DEG = 0.005, 5.0
+_GIVES_M, _GIVES_DEG = 0.01, 5.0
 """What moves further than this in the gripper while it is lifted is put back: it would not come to its place."""
 
 _SQUEEZE = 0.25

@@ -21,6 +21,9 @@ _STRAY_POINTS = 3
 """Points that may lie inside a finger: noise, and the contact itself."""
 
 _FEWEST_POINTS = 10
+_LEVER_M = 0.02
+"""A grasp this far from the object's middle is worth 1 / e of one through it: what hangs to one side turns."""
+
 _LEVEL = np.sin(np.radians(10))
 """A closing direction this near to level is made level: that is where a finger finds room above the table."""
 
@@ -98,7 +101,7 @@ class Antipodal(Plugin):
                 z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
                 R = np.stack([x, np.cross(z, x), z], axis=1)
                 lever = float(np.linalg.norm(np.cross(center - (a + b) / 2, x)))
-                score = float(alignment) * float(np.exp(-lever / 0.05)) * (0.5 - 0.5 * float(z[2]))
+                score = float(alignment) * float(np.exp(-lever / _LEVER_M)) * (0.5 - 0.5 * float(z[2]))
                 # Flat objects leave no room below: their contacts are taken with the very tips.
                 for depth, worth in ((c.depth_m, 1.0), (0.3 * c.depth_m, 0.5)):
                     tips = make_transform(R, (a + b) / 2 + depth * z)
