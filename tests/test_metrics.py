@@ -82,4 +82,4 @@ def test_segments_answer_for_the_object_they_cover():
     shifted = np.roll(masks[5], 1, axis=0)
     segments = [Segment(shifted), Segment(masks[3])]
     assert assign_goal_objects(segments, masks) == {3: 1, 5: 0}
-    assert assign_goal_objects([], masks) == {}
+    assert assign_goal_objects([], masks) == assign_goal_objects(segments, {}) == {}

@@ -138,7 +138,8 @@ def assign_goal_objects(
         instance id -> position in `segments`.
     """
     ids = sorted(true_masks)
-    iou = np.array([[_iou(true_masks[i], segment.mask) for segment in segments] for i in ids]).reshape(len(ids), -1)
+    iou = np.array([[_iou(true_masks[i], segment.mask) for segment in segments] for i in ids])
+    iou = iou.reshape(len(ids), len(segments))
     if iou.size == 0:
         return {}
     rows, columns = linear_sum_assignment(-np.where(iou >= min_iou, iou, 0))
