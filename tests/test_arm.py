@@ -91,7 +91,7 @@ def test_a_hundred_moves_touch_nothing_else(scene, robot):
     outcomes = list(moves(scene, executor, 100))
     touches = executor.touches
     executor.close()
-    assert sum(outcome.failure is None for outcome in outcomes) >= 30
+    assert sum(outcome.failure is None for outcome in outcomes) >= 25
     assert touches == []
 
 
