@@ -27,8 +27,8 @@ from toolkit.types import Failure, Float, Frame, Image
 _RAYS = 64
 _SETTLE_S, _GRIP_S, _RELEASE_S, _REST_S = 0.5, 0.8, 0.5, 0.5
 _RAMP_S = 0.2
-_GIVES_M, _GIVES_DEG = 0.01, 5.0
-"""What moves further than this in the gripper while it is lifted is put back: it would not come to its place."""
+_GIVES_M, _GIVES_DEG = 0.02, 10.0
+"""What moves further than this in the gripper while it is lifted is put back, before it is lost."""
 
 _SQUEEZE = 0.25
 """How far beyond the contact the fingers are driven, as a part of their whole way."""
@@ -188,6 +188,7 @@ class Arm(Plugin):
         if lost := self._lost(number, in_hand):
             self._put_back(way, number)
             return Failure("executor", f"the object {lost} the gripper while it was lifted")
+        way = self._reach().adapted(way, number, bench.poses(), self._in_hand(number), wanted)
         self._follow(way.transfer, fast, "carrying", number)
         if not bench.held(number):
             self._let_go(way, way.lower[0], number)

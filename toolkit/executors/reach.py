@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ _JUMP_RAD = 0.4
 _SPARE_M = 0.005
 """Antipodal grasps open this much wider on each side."""
 
-_LIFT_M, _LEAST_LIFT_M = 0.15, 0.06
+_UP, _LEAST_LIFT_M = np.array([0.0, 0.0, 0.15]), 0.06
 _MOST_MOTIONS = 3
 """Grasps whose free motion is searched for at most."""
 
@@ -66,6 +66,14 @@ class Lines:
 
     approach: Float
     lift: Float
+    lower: Float
+    retreat: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Landing:
+    """(N, J) straight up from where an object is let go, and back from there along the gripper's axis."""
+
     lower: Float
     retreat: Float
 
@@ -129,12 +137,10 @@ class Reach:
         closed = grasp.opening - 2 * _SPARE_M
         T_tips_hand = invert(robot.T_hand_tips(max(closed, 0.0)))
         hand = grasp.T_world_gripper @ turn @ T_tips_hand
-        place = T_place_pick @ hand
-        back, place_back = (-self._approach_m * T[:3, :3] @ robot.model.R_hand_gripper[:, 2] for T in (hand, place))
-        up = np.array([0, 0, _LIFT_M])
+        wanted = T_place_pick @ poses[number]
         drive = robot.drive_for(grasp.opening)
         at_grasps = self._solve(hand, q)[:3]
-        if at_grasps and not self._solve(place, q):
+        if at_grasps and not self._solve(T_place_pick @ hand, q):
             return 2
         if at_grasps and not self._can_be_centred(number, poses, hand[:3, :3] @ robot.model.R_hand_gripper[:, 0]):
             return 1
@@ -143,26 +149,39 @@ class Reach:
             scene.arrange(poses, drive)
             scene.approach(number)
             furthest = max(furthest, 1)
-            approach = self._line(at_grasp, back) if scene.free(at_grasp) else None
+            approach = self._line(at_grasp, self._back(hand)) if scene.free(at_grasp) else None
             if approach is None or not all(map(scene.free, approach)):
                 continue
             in_hand = scene.object_in_hand(at_grasp, poses[number])
             scene.carry(number, in_hand)
-            lift = self._rise(at_grasp, up)
+            lift = self._rise(at_grasp, _UP)
             if lift is None:
                 continue
-            furthest = max(furthest, 2)
-            for at_place in self._solve(place, lift[-1])[:3]:
-                retreat = self._line(at_place, place_back)
-                if retreat is None:
-                    continue
-                furthest = 3
-                scene.carry(number, in_hand)
-                lower = self._rise(at_place, up)
-                if lower is not None and self._leaves(number, T_place_pick, poses, retreat, drive):
-                    steps = min(len(lift), len(lower))
-                    return Lines(approach[::-1], lift[:steps], lower[:steps][::-1], retreat)
+            landing = self._land(number, in_hand, wanted, lift[-1], drive)
+            if not isinstance(landing, int):
+                steps = min(len(lift), len(landing.lower))
+                return Lines(approach[::-1], lift[:steps], landing.lower[:steps][::-1], landing.retreat)
+            furthest = max(furthest, landing)
         return furthest
+
+    def _land(self, number: int, in_hand: Float, wanted: Float, near: Float, drive: float) -> Landing | int:
+        """How an object at a (4, 4) pose in the hand is put down at a pose `wanted`; else an index into `_REASONS`."""
+        hand = wanted @ invert(in_hand)
+        furthest = 2
+        for at_place in self._solve(hand, near)[:3]:
+            retreat = self._line(at_place, self._back(hand))
+            if retreat is None:
+                continue
+            furthest = 3
+            self._scene.carry(number, in_hand)
+            lower = self._rise(at_place, _UP)
+            if lower is not None and self._leaves(number, wanted, retreat, drive):
+                return Landing(lower, retreat)
+        return furthest
+
+    def _back(self, hand: Float) -> Float:
+        """(3,) the way back from a (4, 4) pose of the hand, along the gripper's axis."""
+        return -self._approach_m * hand[:3, :3] @ self._scene.robot.model.R_hand_gripper[:, 2]
 
     def _rise(self, q: Float, up: Float) -> Float | None:
         """A line as far up as arm and load stay clear and the arm reaches; None where that is not high enough."""
@@ -177,10 +196,14 @@ class Reach:
         self._scene.arrange(poses, self._scene.robot.drive)
         return all(self._scene.room(number, _shifted(poses[number], way * closing)) for way in (_SPARE_M, -_SPARE_M))
 
-    def _leaves(self, number: int, T_place_pick: Float, poses: Sequence[Float], retreat: Float, drive: float) -> bool:
+    def _leaves(self, number: int, wanted: Float, retreat: Float, drive: float) -> bool:
         """Say whether the opened hand gets away from the object where it was put."""
-        self._scene.put(number, T_place_pick @ poses[number])
-        return all(map(self._scene.free, retreat))
+        held = self._scene.robot.drive
+        self._scene.robot.set_drive(drive)
+        self._scene.put(number, wanted)
+        leaves = all(map(self._scene.free, retreat))
+        self._scene.robot.set_drive(held)
+        return leaves
 
     def _join(self, q: Float, number: int, poses: Sequence[Float], opening: float, lines: Lines) -> Way | Failure:
         """Free motions to the straight parts, and between them."""
@@ -194,6 +217,31 @@ class Reach:
         if isinstance(transfer, Failure):
             return transfer
         return Way(opening, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
+
+    def adapted(self, way: Way, number: int, poses: Sequence[Float], in_hand: Float, wanted: Float) -> Way:
+        """A way whose second half puts an object down right that lies in the hand otherwise than it was to.
+
+        Args:
+            way: carried out up to its lift.
+            number: the object.
+            poses: (4, 4) of all objects.
+            in_hand: (4, 4) pose of the object in the hand's frame.
+            wanted: (4, 4) pose to put it down at.
+
+        Returns:
+            The way as it was, where there is none that is better.
+        """
+        robot = self._scene.robot
+        self._scene.arrange(poses, robot.drive_for(way.opening - 2 * _SPARE_M))
+        landing = self._land(number, in_hand, wanted, way.lower[-1], robot.drive_for(way.opening))
+        if isinstance(landing, int):
+            return way
+        self._scene.carry(number, in_hand, lowest=0.005)
+        lower = landing.lower[: len(way.lift)][::-1]
+        transfer = self.motion(way.lift[-1], lower[0])
+        if isinstance(transfer, Failure):
+            return way
+        return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
 
     def way_out(self, q: Float) -> Float:
         """(N, J) straight back along the gripper's axis to where nothing is touched, in the scene as it is arranged.
