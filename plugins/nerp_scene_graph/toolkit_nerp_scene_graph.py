@@ -13,6 +13,7 @@ from pydantic import Field
 from scipy.special import logsumexp
 
 from toolkit.crops import crop_region
+from toolkit.errors import ToolkitError
 from toolkit.fusion import FusedModel, Models, RefineTask
 from toolkit.geometry import invert, lift, project
 from toolkit.refiners.turns import yaw_rotations
@@ -35,15 +36,21 @@ _SWEEPS = 50
 class NerpSceneGraphConfig(PluginConfig):
     """Settings of `nerp_scene_graph`."""
 
-    base: str = Field("render_compare", description="The refiner that finds the motions.")
+    base: str = Field(default="render_compare", description="The refiner that finds the motions.")
     base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Its settings.")
-    descriptor: str = Field("color_hist", description="What describes the look of a node.")
-    rounds: int = Field(4, ge=0, description="Messages along the edges; 0 leaves it to the nodes.")
-    edges: float = Field(1.0, ge=0, description="Weight of the edges against the nodes.")
-    yaws: int = Field(36, ge=4, description="Turns about the vertical in which an instance's silhouette is measured.")
-    silhouette: float = Field(0.1, gt=0, description="Standard deviation of silhouettes, as a share of their width.")
-    color: float = Field(8.0, gt=0, description="Standard deviation of mean colours, CIE Lab.")
-    temperature: float = Field(0.05, gt=0, description="Small: the best pair takes all; large: beliefs stay spread.")
+    descriptor: str = Field(default="color_hist", description="What describes the look of a node.")
+    rounds: int = Field(default=4, ge=0, description="Messages along the edges; 0 leaves it to the nodes.")
+    edges: float = Field(default=1.0, ge=0, description="Weight of the edges against the nodes.")
+    yaws: int = Field(
+        default=36, ge=4, description="Turns about the vertical in which an instance's silhouette is measured."
+    )
+    silhouette: float = Field(
+        default=0.1, gt=0, description="Standard deviation of silhouettes, as a share of their width."
+    )
+    color: float = Field(default=8.0, gt=0, description="Standard deviation of mean colours, CIE Lab.")
+    temperature: float = Field(
+        default=0.05, gt=0, description="Small: the best pair takes all; large: beliefs stay spread."
+    )
 
 
 DEFAULTS = NerpSceneGraphConfig()
@@ -64,8 +71,12 @@ class Pairs:
     change: Float
 
 
+_Beliefs = dict[tuple[tuple[int, int], ...], Float]
+"""Signatures of all goal objects -> what was made of them, so that asking for every pair costs one matching."""
+
+
 class NerpSceneGraph(Plugin):
-    """Tells which goal object is which instance by matching two graphs, in the manner of NeRP (Qureshi et al., RSS 2021).
+    """Tells which goal object is which instance by matching two graphs, in the manner of NeRP (Qureshi et al. 2021).
 
     It answers `verify`, which `assignment: global` asks; motions are the base refiner's.
     """
@@ -77,9 +88,11 @@ class NerpSceneGraph(Plugin):
 
     def __init__(self, config: PluginConfig | None = None) -> None:
         super().__init__(config)
+        if self.config.base == self.name:
+            raise ToolkitError(f"refiner '{self.name}' needs another one as its base")
         self._base: Any = REFINERS.create(self.config.base, self.config.base_settings)
         self._descriptor: Any = DESCRIPTORS.create(self.config.descriptor)
-        self._known: WeakKeyDictionary[Models, dict[str, Float]] = WeakKeyDictionary()
+        self._known: WeakKeyDictionary[Models, WeakKeyDictionary[Frame, _Beliefs]] = WeakKeyDictionary()
 
     def check_ready(self) -> None:
         """Base and descriptor must be ready."""
@@ -99,9 +112,9 @@ class NerpSceneGraph(Plugin):
         models, model = task.models.all(), task.models.get(task.instance)
         if isinstance(model, Failure):
             return None
-        segments = sorted((task.segment, *task.others), key=_first_pixel)
-        known = self._known.setdefault(task.models, {})
-        key = f"{id(task.goal)} {[_first_pixel(segment) for segment in segments]}"
+        segments = sorted((task.segment, *task.others), key=_signature)
+        known = self._known.setdefault(task.models, WeakKeyDictionary()).setdefault(task.goal, {})
+        key = tuple(map(_signature, segments))
         if key not in known:
             known[key] = match(self.pairs(task.goal, segments, models), self.config)
         column = next(i for i, other in enumerate(models) if other is model)
@@ -170,9 +183,10 @@ def compare_silhouettes(
     middle is now, since objects stay on the table, in every yaw. Widths are compared in 8 directions.
 
     Returns:
-        (Q, K) least root mean square log ratio of the widths over the yaws, and (Q, K) the mean log ratio there.
+        (Q, K) least root mean square log ratio of the widths over the yaws, infinite where there is no such place, and
+        (Q, K) the mean log ratio there, 0 where there is none.
     """
-    wanted = [np.log(_widths(np.argwhere(segment.mask)[:, ::-1]) + 1) for segment in segments]
+    wanted = [np.log(_widths(np.argwhere(segment.mask)[:, ::-1].astype(np.float64)) + 1) for segment in segments]
     fit, size = np.zeros((2, len(segments), len(models)))
     for column, model in enumerate(models):
         turned = (_outermost(model.points) - model.center) @ np.swapaxes(yaw_rotations(yaws), 1, 2)
@@ -183,7 +197,7 @@ def compare_silhouettes(
             ratios = wanted[row] - np.log(_widths(pixels.reshape(yaws, -1, 2)) + 1)
             errors = np.nan_to_num(np.sqrt((ratios**2).mean(axis=-1)), nan=np.inf)
             best = errors.argmin()
-            fit[row, column], size[row, column] = errors[best], ratios[best].mean()
+            fit[row, column], size[row, column] = errors[best], np.nan_to_num(ratios[best].mean())
     return fit, size
 
 
@@ -217,6 +231,6 @@ def _outermost(points: Float) -> Float:
     return points[np.unique((points @ directions).argmax(axis=0))].astype(np.float64)
 
 
-def _first_pixel(segment: Segment) -> int:
-    """Tells disjoint segments apart, and orders them."""
-    return int(segment.mask.argmax())
+def _signature(segment: Segment) -> tuple[int, int]:
+    """First pixel and area: they tell disjoint segments apart, and order them."""
+    return int(segment.mask.argmax()), int(segment.mask.sum())
