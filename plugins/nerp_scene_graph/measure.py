@@ -4,7 +4,9 @@
     python plugins/nerp_scene_graph/measure.py twins
 
 Masks are the true ones, instances are k-means'. An object is right when its instance is of its own model and not given
-away before: twins may be exchanged. `--light R G B` multiplies the goal image's colours: it was taken in another light.
+away before: twins may be exchanged. `global` is as in the pipeline, where only instances that the descriptor cannot
+tell apart are verified; `every pair` leaves the descriptor out, which no pipeline does. `--light R G B` multiplies the
+goal image's colours, as if it had been taken in another light.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from toolkit_nerp_scene_graph import NerpSceneGraph, NerpSceneGraphConfig
@@ -47,13 +50,17 @@ CHOICES = {
 REFERENCE = "global, render_compare"
 
 
-def verifiers() -> dict[str, object]:
+EVERY_PAIR = "graph alone, every pair"
+
+
+def verifiers() -> dict[str, Any]:
     """Who answers `verify` under global assignment. The graph needs no base: motions are not asked for."""
     return {
         "global, descriptor alone": REGISTRIES["refiner"].create("none"),
         REFERENCE: REGISTRIES["refiner"].create("render_compare"),
         "global, graph without edges": NerpSceneGraph(NerpSceneGraphConfig(base="none", rounds=0)),
         "global, graph": NerpSceneGraph(NerpSceneGraphConfig(base="none")),
+        EVERY_PAIR: NerpSceneGraph(NerpSceneGraphConfig(base="none")),
     }
 
 
@@ -72,12 +79,13 @@ def choose(pipeline: Pipeline, database: Database, goal: Frame) -> dict[str, tup
     models.all()  # fused before the clock starts: every refiner needs them
     for name, refiner in verifiers().items():
         verified, begin = np.full(scores.shape, np.nan), time.perf_counter()
-        for number, instance in np.argwhere(contenders(scores)):
+        asked, prior = (np.ones(scores.shape, bool), 0 * scores) if name == EVERY_PAIR else (contenders(scores), scores)
+        for number, instance in np.argwhere(asked):
             others = (*segments[:number], *segments[number + 1 :])
-            found = refiner.verify(RefineTask(goal, segments[number], others, int(instance), models))  # type: ignore[attr-defined]
+            found = refiner.verify(RefineTask(goal, segments[number], others, int(instance), models))
             verified[number, instance] = np.nan if found is None else found
         seconds = time.perf_counter() - begin
-        chosen[name] = assign_instances(scores, verified).tolist(), seconds
+        chosen[name] = assign_instances(prior, verified).tolist(), seconds
     return chosen
 
 
