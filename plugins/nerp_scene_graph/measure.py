@@ -5,8 +5,8 @@
 
 Masks are the true ones, instances are k-means'. An object is right when its instance is of its own model and not given
 away before: twins may be exchanged. `global` is as in the pipeline, where only instances that the descriptor cannot
-tell apart are verified; `every pair` leaves the descriptor out, which no pipeline does. `--light R G B` multiplies the
-goal image's colours, as if it had been taken in another light.
+tell apart are verified. `--every-pair` also verifies all, and leaves the descriptor's opinion out. `--light R G B`
+multiplies the goal image's colours, as if it had been taken in another light.
 """
 
 from __future__ import annotations
@@ -50,21 +50,17 @@ CHOICES = {
 REFERENCE = "global, render_compare"
 
 
-EVERY_PAIR = "graph alone, every pair"
-
-
 def verifiers() -> dict[str, Any]:
-    """Who answers `verify` under global assignment. The graph needs no base: motions are not asked for."""
+    """Who answers `verify`. The graph needs no base: motions are not asked for."""
     return {
-        "global, descriptor alone": REGISTRIES["refiner"].create("none"),
-        REFERENCE: REGISTRIES["refiner"].create("render_compare"),
-        "global, graph without edges": NerpSceneGraph(NerpSceneGraphConfig(base="none", rounds=0)),
-        "global, graph": NerpSceneGraph(NerpSceneGraphConfig(base="none")),
-        EVERY_PAIR: NerpSceneGraph(NerpSceneGraphConfig(base="none")),
+        "descriptor alone": REGISTRIES["refiner"].create("none"),
+        "render_compare": REGISTRIES["refiner"].create("render_compare"),
+        "graph without edges": NerpSceneGraph(NerpSceneGraphConfig(base="none", rounds=0)),
+        "graph": NerpSceneGraph(NerpSceneGraphConfig(base="none")),
     }
 
 
-def choose(pipeline: Pipeline, database: Database, goal: Frame) -> dict[str, tuple[list[int], float]]:
+def choose(pipeline: Pipeline, database: Database, goal: Frame, every_pair: bool) -> dict[str, tuple[list[int], float]]:
     """The instance of every goal object and the seconds of verification, by who decides."""
     segments = pipeline.stages.goal_segmenter.segment(goal, database.frames)
     descriptor = pipeline.stages.descriptor
@@ -77,15 +73,19 @@ def choose(pipeline: Pipeline, database: Database, goal: Frame) -> dict[str, tup
     chosen = {"vote": ([int(database.instances[start.next(1)[0]]) for start in starts], 0.0)}
     scores, models = instance_similarity(similarity, database.instances), Models(database)
     models.all()  # fused before the clock starts: every refiner needs them
-    for name, refiner in verifiers().items():
-        verified, begin = np.full(scores.shape, np.nan), time.perf_counter()
-        asked, prior = (np.ones(scores.shape, bool), 0 * scores) if name == EVERY_PAIR else (contenders(scores), scores)
-        for number, instance in np.argwhere(asked):
-            others = (*segments[:number], *segments[number + 1 :])
-            found = refiner.verify(RefineTask(goal, segments[number], others, int(instance), models))
-            verified[number, instance] = np.nan if found is None else found
-        seconds = time.perf_counter() - begin
-        chosen[name] = assign_instances(prior, verified).tolist(), seconds
+    asked = {"global": (contenders(scores), scores)}
+    if every_pair:
+        asked["every pair"] = np.ones(scores.shape, bool), np.zeros(scores.shape)
+    for how, (which, prior) in asked.items():
+        for name, refiner in verifiers().items():
+            verified, begin = np.full(scores.shape, np.nan), time.perf_counter()
+            for number, instance in np.argwhere(which):
+                others = (*segments[:number], *segments[number + 1 :])
+                found = refiner.verify(RefineTask(goal, segments[number], others, int(instance), models))
+                verified[number, instance] = np.nan if found is None else found
+            seconds = time.perf_counter() - begin
+            chosen[f"{how}, {name}"] = assign_instances(prior, verified).tolist(), seconds
+    chosen.pop("every pair, descriptor alone", None)
     return chosen
 
 
@@ -119,6 +119,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--descriptor", default="color_hist")
     parser.add_argument("--light", type=float, nargs=3, default=[1.0, 1.0, 1.0])
+    parser.add_argument("--every-pair", action="store_true")
     options = parser.parse_args()
     choices = {**CHOICES, "descriptor": options.descriptor}
     pipeline = Pipeline(Stages(**{slot: REGISTRIES[stage].create(choices[slot]) for slot, stage in SLOTS.items()}))
@@ -134,7 +135,7 @@ def main() -> None:
             capture = replace(capture, goal=replace(capture.goal, rgb=lit))
             database = pipeline.build_database(capture.current)
             masks = [s.mask for s in pipeline.stages.goal_segmenter.segment(capture.goal, database.frames)]
-            for name, (chosen, spent) in choose(pipeline, database, capture.goal).items():
+            for name, (chosen, spent) in choose(pipeline, database, capture.goal, options.every_pair).items():
                 found.setdefault(name, []).extend(right(capture, database, masks, chosen))
                 seconds.setdefault(name, []).append(spent)
             scenes += [number] * len(masks)
