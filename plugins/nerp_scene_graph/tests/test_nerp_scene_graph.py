@@ -13,11 +13,13 @@ from toolkit_nerp_scene_graph import (
     softassign,
 )
 
+from toolkit.assignment import contenders, instance_similarity
 from toolkit.conformance import Conforms
-from toolkit.conformance.scene import goal_frame, refine_task, segments_of
+from toolkit.conformance.scene import crops, goal_frame, refine_task, segments_of
 from toolkit.errors import ToolkitError
 from toolkit.fusion import FusedModel, RefineTask
 from toolkit.geometry import invert, look_at, project, rotation_z
+from toolkit.stages import DESCRIPTORS
 from toolkit.types import Camera, Frame, Segment
 
 SIZE = 240
@@ -146,3 +148,10 @@ def test_motions_are_the_base_s():
     assert NerpSceneGraph(GRAPH).refine(refine_task(1)) is None
     with pytest.raises(ToolkitError, match="another"):
         NerpSceneGraph(NerpSceneGraphConfig(base="nerp_scene_graph"))
+
+
+def test_a_descriptor_that_says_next_to_nothing_leaves_every_pair_to_the_graph():
+    blind = DESCRIPTORS.create("color_hist", {"bins": 2, "smooth": 4.0})
+    rows = blind.describe(crops(blind.crop_size))
+    scores = instance_similarity(rows @ rows.T, np.tile(np.arange(3), 2))
+    assert contenders(scores).all() and np.ptp(scores) < 1e-3
