@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from toolkit.geometry import make_transform
+from toolkit.geometry import make_transform, rotation_angle
 from toolkit.grasps.gripper import Gripper, lowest, points_in_boxes
 from toolkit.grasps.surface import Contacts, antipodal_pairs, normals, thin_out, wall_pairs
 from toolkit.moves import Grasp, PickPlace
@@ -23,6 +23,9 @@ _STRAY_POINTS = 3
 _FEWEST_POINTS = 10
 _LEVER_M = 0.02
 """A grasp this far from the object's middle is worth 1 / e of one through it: what hangs to one side turns."""
+
+_ALIKE_M, _ALIKE_RAD = 0.01, np.radians(20)
+"""Where one grasp cannot be reached, one as near to it as this can seldom be."""
 
 _LEVEL = np.sin(np.radians(10))
 """A closing direction this near to level is made level: that is where a finger finds room above the table."""
@@ -78,11 +81,15 @@ class Antipodal(Plugin):
     def _first_with_room(self, pairs: Contacts, surface: Float, request: PickPlace) -> list[Grasp]:
         found: list[Grasp] = []
         candidates = sorted(self._candidates(pairs, surface.mean(axis=0)), key=lambda grasp: -grasp.score)
-        for candidate in candidates[: self.config.tries]:
+        tried = 0
+        for candidate in candidates:
+            if any(_alike(candidate, other) for other in found):
+                continue
+            tried += 1
             if self._has_room(candidate, surface, request):
                 found.append(candidate)
-                if len(found) == self.config.keep:
-                    break
+            if len(found) == self.config.keep or tried == self.config.tries:
+                break
         return found
 
     def _candidates(self, pairs: Contacts, center: Float) -> Iterator[Grasp]:
@@ -97,7 +104,7 @@ class Antipodal(Plugin):
             if np.linalg.norm(steepest) < 0.3:  # one contact above the other: no finger fits below
                 continue
             steepest /= np.linalg.norm(steepest)
-            for tilt in np.radians([0, 35, -35]):
+            for tilt in np.radians([0, 35, -35, 75, -75]):
                 z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
                 R = np.stack([x, np.cross(z, x), z], axis=1)
                 lever = float(np.linalg.norm(np.cross(center - (a + b) / 2, x)))
@@ -117,3 +124,9 @@ class Antipodal(Plugin):
             if points_in_boxes(request.others, T, boxes, c.approach_m) > 0:
                 return False
         return points_in_boxes(surface, grasp.T_world_gripper, boxes, c.approach_m) <= _STRAY_POINTS
+
+
+def _alike(a: Grasp, b: Grasp) -> bool:
+    one, other = a.T_world_gripper, b.T_world_gripper
+    apart = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+    return apart < _ALIKE_M and float(rotation_angle(one[:3, :3] @ other[:3, :3].T)) < _ALIKE_RAD
