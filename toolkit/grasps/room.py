@@ -1,0 +1,72 @@
+"""Which grasps leave room for the gripper: around the object, where it lets go, and on its way in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from pydantic import Field
+
+from toolkit.grasps.gripper import Gripper, lowest, points_in_boxes
+from toolkit.grasps.surface import thin_out
+from toolkit.moves import Grasp, PickPlace
+from toolkit.registry import PluginConfig
+from toolkit.types import Failure
+
+_SPACING_M = 0.003
+_OTHERS_SPACING_M = 0.005
+_FEWEST_POINTS = 10
+_STRAY_POINTS = 3
+"""Points that may lie inside a finger: noise, and the contact itself."""
+
+
+class RoomConfig(PluginConfig):
+    """What every grasper that checks for room is told."""
+
+    gripper: Gripper = Field(Gripper(), description="Measures; by default about a Robotiq 2F-85's.")
+    spare_m: float = Field(0.005, ge=0, description="Room on each side of the object when the open gripper comes.")
+    depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
+    tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
+    approach_m: float = Field(0.08, ge=0, description="Way along which the gripper comes and goes.")
+    table_z_m: float = Field(0.0, description="Height of the table.")
+    table_gap_m: float = Field(0.003, ge=0, description="Least height of the gripper above it.")
+    keep: int = Field(20, ge=1, description="Grasps returned at most.")
+
+    @property
+    def widest_m(self) -> float:
+        """Longest distance of two contacts."""
+        return self.gripper.stroke_m - 2 * self.spare_m
+
+
+NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's other parts or another object")
+
+
+def evenly_seen(request: PickPlace) -> PickPlace | Failure:
+    """The request with its points spread evenly; a Failure where too few of the object were seen."""
+    points = thin_out(request.points, _SPACING_M) if len(request.points) else request.points
+    if len(points) < _FEWEST_POINTS:
+        return Failure("grasp", f"only {len(points)} points of the object were seen")
+    others = thin_out(request.others, _OTHERS_SPACING_M) if len(request.others) else request.others
+    return replace(request, points=points, others=others)
+
+
+def first_with_room(candidates: Iterable[Grasp], request: PickPlace, config: RoomConfig) -> list[Grasp]:
+    """Up to `keep` of the best `tries` candidates, best first, that touch nothing; `request` is evenly seen."""
+    found: list[Grasp] = []
+    for candidate in sorted(candidates, key=lambda grasp: -grasp.score)[: config.tries]:
+        if _has_room(candidate, request, config):
+            found.append(candidate)
+            if len(found) == config.keep:
+                break
+    return found
+
+
+def _has_room(grasp: Grasp, request: PickPlace, config: RoomConfig) -> bool:
+    """Here and where it lets go: above the table, nothing between the fingers' outsides, a free way in and out."""
+    boxes = config.gripper.boxes(grasp.opening)
+    for T in (grasp.T_world_gripper, grasp.placed(request.T_place_pick)):
+        if lowest(T, boxes) < config.table_z_m + config.table_gap_m:
+            return False
+        if points_in_boxes(request.others, T, boxes, config.approach_m) > 0:
+            return False
+    return points_in_boxes(request.points, grasp.T_world_gripper, boxes, config.approach_m) <= _STRAY_POINTS
