@@ -80,6 +80,19 @@ def last_on_lines(points: Float, starts: Float, along: Float) -> tuple[Float, ND
     return t[np.arange(len(starts)), last], last
 
 
+def span(points: Float, contact: Float, line: Float, widest: float) -> tuple[Float, Float]:
+    """Two opposite contacts: the given one and the last of (N, 3) points within `widest` on a line through it.
+
+    Both ways are tried, for the longer. Where nothing lies on the line it is a thin wall, with a finger on each side.
+    """
+    lengths, last = last_on_lines(points, np.stack([contact, contact]), np.stack([line, -line]))
+    lengths[lengths > widest] = -np.inf
+    way = int(lengths.argmax())
+    if lengths[way] > 2 * _LINE_M:
+        return contact, points[last[way]]
+    return contact - _WALL_M / 2 * line, contact + _WALL_M / 2 * line
+
+
 def antipodal_pairs(
     points: Float, directions: Float, widest: float, friction: float, count: int, rng: np.random.Generator
 ) -> Contacts:
