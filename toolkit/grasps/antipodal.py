@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import Field
 
-from toolkit.geometry import make_transform
-from toolkit.grasps.room import NO_ROOM, RoomConfig, evenly_seen, first_with_room
+from toolkit.grasps.room import NO_ROOM, RoomConfig, closing_direction, evenly_seen, first_with_room, grasps_on
 from toolkit.grasps.surface import Contacts, antipodal_pairs, normals, wall_pairs
 from toolkit.moves import Grasp, PickPlace
 from toolkit.registry import Plugin
@@ -16,9 +15,6 @@ from toolkit.types import Failure, Float
 
 _LEVER_M = 0.02
 """A grasp this far from the object's middle is worth 1 / e of one through it: what hangs to one side turns."""
-
-_LEVEL = np.sin(np.radians(10))
-"""A closing direction this near to level is made level: that is where a finger finds room above the table."""
 
 
 class AntipodalConfig(RoomConfig):
@@ -55,22 +51,14 @@ class Antipodal(Plugin):
 
     def _candidates(self, pairs: Contacts, center: Float) -> Iterator[Grasp]:
         """Grasps on every pair, approaching as steeply as the pair allows and in two directions beside that."""
-        c = self.config
         for a, b, alignment in zip(pairs.first, pairs.second, pairs.alignment, strict=True):
-            width = float(np.linalg.norm(b - a))
-            x = (b - a) / width
-            if abs(x[2]) < _LEVEL:
-                x = np.array([x[0], x[1], 0.0]) / np.hypot(x[0], x[1])
+            x = closing_direction(a, b)
             steepest = np.array([0.0, 0.0, -1.0]) - x * -x[2]
             if np.linalg.norm(steepest) < 0.3:  # one contact above the other: no finger fits below
                 continue
             steepest /= np.linalg.norm(steepest)
+            lever = float(np.linalg.norm(np.cross(center - (a + b) / 2, x)))
             for tilt in np.radians([0, 35, -35]):
                 z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
-                R = np.stack([x, np.cross(z, x), z], axis=1)
-                lever = float(np.linalg.norm(np.cross(center - (a + b) / 2, x)))
                 score = float(alignment) * float(np.exp(-lever / _LEVER_M)) * (0.5 - 0.5 * float(z[2]))
-                # Flat objects leave no room below: their contacts are taken with the very tips.
-                for depth, worth in ((c.depth_m, 1.0), (0.3 * c.depth_m, 0.5)):
-                    tips = make_transform(R, (a + b) / 2 + depth * z)
-                    yield Grasp(tips, width + 2 * c.spare_m, worth * score)
+                yield from grasps_on(a, b, z, score, self.config)

@@ -11,8 +11,7 @@ import torch
 from pydantic import Field
 from scipy.spatial import KDTree
 
-from toolkit.geometry import make_transform
-from toolkit.grasps.room import NO_ROOM, RoomConfig, evenly_seen, first_with_room
+from toolkit.grasps.room import NO_ROOM, RoomConfig, evenly_seen, first_with_room, grasps_on
 from toolkit.grasps.surface import span
 from toolkit.models.contact_graspnet import ContactGraspNet, used
 from toolkit.moves import Grasp, PickPlace
@@ -64,15 +63,9 @@ class ContactGraspnet(Plugin):
         return first_with_room(candidates, seen, self.config) or NO_ROOM
 
     def _candidates(self, seen: PickPlace, seed: int) -> Iterator[Grasp]:
-        c = self.config
         for contact, baseline, approach, score in self._contacts(seen, seed):
-            a, b = span(seen.points, contact, baseline, c.widest_m)
-            width = float(np.linalg.norm(b - a))
-            x = (b - a) / width
-            z = approach - (approach @ x) * x
-            z /= np.linalg.norm(z)
-            R = np.stack([x, np.cross(z, x), z], axis=1)
-            yield Grasp(make_transform(R, (a + b) / 2 + c.depth_m * z), width + 2 * c.spare_m, float(score))
+            a, b = span(seen.points, contact, baseline, self.config.widest_m)
+            yield from grasps_on(a, b, approach, float(score), self.config)
 
     @torch.inference_mode()
     def _contacts(self, seen: PickPlace, seed: int) -> Iterator[tuple[Float, Float, Float, float]]:

@@ -1,23 +1,28 @@
-"""Which grasps leave room for the gripper: around the object, where it lets go, and on its way in and out."""
+"""Grasps on two contacts, and which of them leave room for the gripper: here, where it lets go, and on the ways."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+import numpy as np
 from pydantic import Field
 
+from toolkit.geometry import make_transform
 from toolkit.grasps.gripper import Gripper, lowest, points_in_boxes
 from toolkit.grasps.surface import thin_out
 from toolkit.moves import Grasp, PickPlace
 from toolkit.registry import PluginConfig
-from toolkit.types import Failure
+from toolkit.types import Failure, Float
 
 _SPACING_M = 0.003
 _OTHERS_SPACING_M = 0.005
 _FEWEST_POINTS = 10
 _STRAY_POINTS = 3
 """Points that may lie inside a finger: noise, and the contact itself."""
+
+_LEVEL = np.sin(np.radians(10))
+"""A closing direction this near to level is made level: that is where a finger finds room above the table."""
 
 
 class RoomConfig(PluginConfig):
@@ -48,6 +53,24 @@ def evenly_seen(request: PickPlace) -> PickPlace | Failure:
         return Failure("grasp", f"only {len(points)} points of the object were seen")
     others = thin_out(request.others, _OTHERS_SPACING_M) if len(request.others) else request.others
     return replace(request, points=points, others=others)
+
+
+def closing_direction(a: Float, b: Float) -> Float:
+    """(3,) unit vector from one contact to the other, made level where it nearly is."""
+    x = (b - a) / np.linalg.norm(b - a)
+    return np.array([x[0], x[1], 0.0]) / np.hypot(x[0], x[1]) if abs(x[2]) < _LEVEL else x
+
+
+def grasps_on(a: Float, b: Float, approach: Float, score: float, config: RoomConfig) -> Iterator[Grasp]:
+    """Grasps on two contacts that come along `approach`, as nearly as the closing direction lets them."""
+    x = closing_direction(a, b)
+    z = approach - (approach @ x) * x
+    z /= np.linalg.norm(z)
+    R = np.stack([x, np.cross(z, x), z], axis=1)
+    opening = float(np.linalg.norm(b - a)) + 2 * config.spare_m
+    # Flat objects leave no room below: their contacts are taken with the very tips.
+    for depth, worth in ((config.depth_m, 1.0), (0.3 * config.depth_m, 0.5)):
+        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, worth * score)
 
 
 def first_with_room(candidates: Iterable[Grasp], request: PickPlace, config: RoomConfig) -> list[Grasp]:
