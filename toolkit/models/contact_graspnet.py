@@ -7,7 +7,9 @@ widths, 64 neighbours at every scale, and a far-off point among them (see `_Abst
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +27,9 @@ _WIDTHS = (
 )
 _UNUSED = "set_abstract_final."
 """Layers of the checkpoint whose output its network never used."""
+
+_Scales = Iterable[nn.Module]
+_Blocks = Iterable[Iterable[nn.Module]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +84,9 @@ class ContactGraspNet(nn.Module):
                 order = order[chosen]
             centers = where[chosen]
             near = balls(where, centers, radii, _NEIGHBOURS)
-            parts = [scale(features, where, centers, own) for scale, own in zip(scales, near, strict=True)]
+            parts = [
+                scale(features, where, centers, own) for scale, own in zip(cast(_Scales, scales), near, strict=True)
+            ]
             where, features = centers, torch.cat(parts, dim=1)
             levels.append((where, features))
         for propagation, (wanted, skipped) in zip(self.feat_prop, reversed(levels), strict=True):
@@ -112,11 +119,12 @@ class _Abstraction(nn.Module):
     def forward(self, features: Tensor, points: Tensor, centers: Tensor, near: Tensor) -> Tensor:
         """(N, C), (N, 3), (M, 3) and (M, K) indices of points to (M, C')."""
         near = torch.cat([near, torch.arange(len(centers))[:, None]], dim=1)
-        (first, *after_first), *blocks = self.conv["local_nn"]
+        first, *following = (layer for block in cast(_Blocks, self.conv["local_nn"]) for layer in block)
+        assert isinstance(first, nn.Linear)
         # The first layer is linear in features and offsets: once a point and once a centre, not once a neighbour.
         x = first(torch.cat([features, points], dim=1))[near] - (centers @ first.weight[:, -3:].T)[:, None]
         x = x.flatten(0, 1)
-        for layer in (*after_first, *blocks):
+        for layer in following:
             x = layer(x)
         return x.unflatten(0, near.shape).amax(dim=1)
 
