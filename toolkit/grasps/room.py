@@ -48,7 +48,8 @@ NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's othe
 
 def evenly_seen(request: PickPlace) -> PickPlace | Failure:
     """The request with its points spread evenly; a Failure where too few of the object were seen."""
-    points = thin_out(request.points, _SPACING_M) if len(request.points) else request.points
+    points = np.asarray(request.points, np.float64)
+    points = thin_out(points, _SPACING_M) if len(points) else points
     if len(points) < _FEWEST_POINTS:
         return Failure("grasp", f"only {len(points)} points of the object were seen")
     others = thin_out(request.others, _OTHERS_SPACING_M) if len(request.others) else request.others

@@ -83,8 +83,8 @@ def last_on_lines(points: Float, starts: Float, along: Float) -> tuple[Float, ND
 def span(points: Float, contact: Float, line: Float, widest: float) -> tuple[Float, Float]:
     """Two opposite contacts: the given one and the last of (N, 3) points on a line through it.
 
-    Both ways are tried, for the longer that is no more than `widest`. Where there is none the contact is taken for one of
-    a thin wall, with a finger on each side.
+    Both ways are tried, for the longer that is no more than `widest`. Where there is none it is taken for a thin wall,
+    with a finger on each side.
     """
     lengths, last = last_on_lines(points, np.stack([contact, contact]), np.stack([line, -line]))
     lengths[lengths > widest] = -np.inf
