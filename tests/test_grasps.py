@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, rotation_z, transform_points
 from toolkit.grasps.gripper import Gripper, lowest
 from toolkit.grasps.surface import normals
@@ -15,6 +16,8 @@ from toolkit.types import Failure
 
 NOTHING = np.zeros((0, 3))
 FRICTION = 0.4
+SPACING = 0.003
+"""Clouds are thinned out before they are checked: what overlaps by less may be missed."""
 
 
 def surface(mesh, count=6000):
@@ -28,9 +31,19 @@ def box(x, y, z, at=(0.0, 0.0)):
     return surface(trimesh.creation.box((x, y, z))) + np.array([*at, 0.0])
 
 
-@pytest.fixture(params=GRASPERS.names())
+@pytest.fixture(scope="module", params=GRASPERS.names())
 def grasper(request):
-    return GRASPERS.create(request.param)
+    found = GRASPERS.get(request.param)()
+    try:
+        found.check_ready()
+    except ToolkitError as error:
+        pytest.skip(str(error))
+    return found
+
+
+@pytest.fixture(scope="module")
+def antipodal():
+    return GRASPERS.create("antipodal")
 
 
 def find(grasper, points, others=NOTHING, T=None, seed=0):
@@ -58,38 +71,38 @@ def test_grasps_are_open_wide_enough_clear_and_point_down(grasper, shape):
         assert grasp.T_world_gripper[2, 2] < 0
         own = transform_points(invert(grasp.T_world_gripper), SHAPES[shape])
         for low, high in boxes:
-            assert ((own > low) & (own < high)).all(axis=1).sum() <= 3
+            assert ((own > low + SPACING) & (own < high - SPACING)).all(axis=1).sum() <= 3
         between = (np.abs(own[:, 0]) < grasp.opening / 2) & (np.abs(own[:, 1]) < 0.011) & (own[:, 2] > -0.045)
         assert between.sum() > 10
     scores = [grasp.score for grasp in found]
     assert scores == sorted(scores, reverse=True)
 
 
-def test_a_box_is_held_across_its_narrow_sides_within_the_friction_cone(grasper):
+def test_a_box_is_held_across_its_narrow_sides_within_the_friction_cone(antipodal):
     """Its other sides are 12 cm apart, and above and below there is no room for a finger."""
     turned = transform_points(rotation_z(0.4), SHAPES["box"])
-    for grasp in find(grasper, turned):
+    for grasp in find(antipodal, turned):
         closing = rotation_z(-0.4)[:3, :3] @ grasp.T_world_gripper[:3, 0]
         assert abs(closing[0]) >= np.cos(np.arctan(FRICTION)) - 0.02
 
 
-def test_a_ball_is_held_through_its_middle(grasper):
+def test_a_ball_is_held_through_its_middle(antipodal):
     """Only lines through the middle, but for the friction cone, meet a ball's surface upright on both sides."""
-    for grasp in find(grasper, SHAPES["ball"]):
+    for grasp in find(antipodal, SHAPES["ball"]):
         own = transform_points(invert(grasp.T_world_gripper), np.array([[0, 0, 0.035]]))[0]
         assert np.hypot(own[1], own[2] + 0.005) < 0.035 * np.sin(np.arctan(FRICTION)) + 0.01
 
 
-def test_a_bowl_is_held_by_its_rim(grasper):
+def test_a_bowl_is_held_by_its_rim(antipodal):
     outer, inner = trimesh.creation.cylinder(0.08, 0.06), trimesh.creation.cylinder(0.077, 0.06)
     walls = [np.asarray(trimesh.sample.sample_surface(m, 9000, seed=0)[0]) for m in (outer, inner)]
     walls = np.concatenate([wall[np.abs(wall[:, 2]) < 0.0299] for wall in walls]) + np.array([0, 0, 0.03])
-    for grasp in find(grasper, walls):
+    for grasp in find(antipodal, walls):
         assert 0.06 < np.hypot(*grasp.T_world_gripper[:2, 3]) < 0.09
 
 
-def test_what_is_too_wide_says_so(grasper):
-    found = find(grasper, box(0.2, 0.2, 0.2))
+def test_what_is_too_wide_says_so(antipodal):
+    found = find(antipodal, box(0.2, 0.2, 0.2))
     assert found == Failure("grasp", "no two opposite surfaces lie within 7.5 cm of each other")
 
 
@@ -101,7 +114,8 @@ def test_neighbours_leave_only_the_grasps_that_miss_them(grasper):
     gripper = Gripper()
     for grasp in beside:
         own = transform_points(invert(grasp.T_world_gripper), wall)
-        assert not any(((own > low) & (own < high)).all(axis=1).any() for low, high in gripper.boxes(grasp.opening))
+        for low, high in gripper.boxes(grasp.opening):
+            assert not ((own > low + SPACING) & (own < high - SPACING)).all(axis=1).any()
     across = [abs(grasp.T_world_gripper[1, 0]) for grasp in free]
     assert max(across) > 0.8 > max(abs(grasp.T_world_gripper[1, 0]) for grasp in beside)
     walls = np.concatenate([box(0.3, 0.02, 0.2, at=(0, y)) for y in (0.045, -0.045)])

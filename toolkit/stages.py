@@ -333,7 +333,14 @@ PLANNERS: Registry[Planner] = Registry(
     "toolkit.planners",
     {"paper": "toolkit.planners.paper:Paper", "optimal": "toolkit.planners.optimal:Optimal"},
 )
-GRASPERS: Registry[Grasper] = Registry("grasp", "toolkit.grasps", {"antipodal": "toolkit.grasps.antipodal:Antipodal"})
+GRASPERS: Registry[Grasper] = Registry(
+    "grasp",
+    "toolkit.grasps",
+    {
+        "antipodal": "toolkit.grasps.antipodal:Antipodal",
+        "contact_graspnet": "toolkit.grasps.contact_graspnet:ContactGraspnet",
+    },
+)
 MOTION: Registry[Motion] = Registry("motion", "toolkit.motion", {"ompl": "toolkit.motion.ompl:Ompl"})
 EXECUTORS: Registry[Executor] = Registry(
     "executor",

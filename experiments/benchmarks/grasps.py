@@ -1,6 +1,7 @@
 """Lift every object of simulated scenes with its best grasp, found on the fused cloud; prints Markdown.
 
 python experiments/benchmarks/grasps.py --scenes 10
+python experiments/benchmarks/grasps.py --scenes 10 --grasp contact_graspnet
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.executors.kinematic import Kinematic
 from toolkit.experiment import expand, load_experiment
 from toolkit.fusion import FusedModel, fuse
-from toolkit.grasps.antipodal import Antipodal
+from toolkit.grasps.gripper import Gripper
 from toolkit.moves import PickPlace
 from toolkit.paths import cache_root
 from toolkit.sim.lift import lifted_height
+from toolkit.stages import GRASPERS
 from toolkit.stats import wilson_interval
 from toolkit.types import Failure
 from toolkit.worker import make_runner
@@ -35,6 +37,7 @@ LIFTED_M = 0.02
 def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--grasp", default="antipodal", choices=GRASPERS.names())
     parser.add_argument("--objects", default="procedural")
     parser.add_argument("--scenes", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
@@ -42,8 +45,8 @@ def main() -> None:
 
     cell = expand(load_experiment("rearrange", ORACLES))[0]
     pipeline = make_runner(cell, None).pipeline
-    grasper = Antipodal()
-    gripper = grasper.config.gripper
+    grasper = GRASPERS.create(options.grasp)
+    gripper = Gripper()
     finger = np.array([gripper.finger_thickness_m, gripper.finger_width_m, gripper.finger_length_m])
     config = TabletopConfig(objects=options.objects, scenes=options.scenes, seed=options.seed)
     objects = load_object_set(options.objects, cache_root())

@@ -13,7 +13,6 @@ from toolkit.data.tabletop import Studio, TabletopScene, filming_camera
 from toolkit.executors.reach import Reach, Way
 from toolkit.footprints import Footprint
 from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
-from toolkit.grasps.antipodal import Antipodal, AntipodalConfig
 from toolkit.moves import Outcome, PickPlace
 from toolkit.paths import cache_root
 from toolkit.registry import Plugin, PluginConfig
@@ -21,7 +20,7 @@ from toolkit.sim.bench import STEP_S, Bench, Touch
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
-from toolkit.stages import MOTION
+from toolkit.stages import GRASPERS, MOTION
 from toolkit.types import Failure, Float, Frame, Image
 
 _RAYS = 64
@@ -39,6 +38,7 @@ class ArmConfig(PluginConfig):
 
     robot: Literal["gen3", "panda"] = Field("gen3", description="Kinova Gen3 with Robotiq 2F-85, or Franka Panda.")
     base_m: float = Field(0.52, gt=0, description="Distance of the robot's base from the table's centre.")
+    grasp: str = Field("antipodal", description="Finds where to take hold: a name of the stage `grasp`.")
     motion: str = Field("ompl", description="Searches free motions: a name of the stage `motion`.")
     motion_s: float = Field(5.0, gt=0, description="Longest search for one motion, of processor time.")
     joint_speed: float = Field(0.8, gt=0, description="Of the fastest joint in free motion, rad/s.")
@@ -64,9 +64,10 @@ class Arm(Plugin):
     """Called at every step of a motion, for films."""
 
     def check_ready(self) -> None:
-        """See Plugin: the robot's description and the motion planner can be had."""
+        """See Plugin: the robot's description, the motion planner and the grasper can be had."""
         ROBOTS[self.config.robot].urdf()
         MOTION.get(self.config.motion)(None).check_ready()
+        GRASPERS.get(self.config.grasp)(None).check_ready()
 
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""
@@ -83,9 +84,7 @@ class Arm(Plugin):
         self._motion = MOTION.create(self.config.motion, {"time_s": self.config.motion_s})
         sizes = ("stroke_m", "palm_m", "finger_length_m")
         gripper = {size: getattr(self._model, size) for size in sizes}
-        self._grasper = Antipodal(
-            AntipodalConfig.model_validate({"gripper": gripper, "approach_m": self.config.approach_m})
-        )
+        self._grasper = GRASPERS.create(self.config.grasp, {"gripper": gripper, "approach_m": self.config.approach_m})
         self._studio = Studio(task, cache_root())
         self._stage: tuple[Studio, Robot] | None = None
         self._moves = self._steps = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from toolkit.types import Float
@@ -65,6 +66,34 @@ def normals(points: Float) -> Float:
     return vectors[:, :, 0]
 
 
+def last_on_lines(points: Float, starts: Float, along: Float) -> tuple[Float, NDArray[np.int64]]:
+    """The last of (N, 3) points on each line from (B, 3) starts along (B, 3) unit vectors.
+
+    Returns:
+        (B,) distances along the lines, -inf where none lies on it, and (B,) indices.
+    """
+    offsets = points[None] - starts[:, None]
+    t = np.einsum("bni,bi->bn", offsets, along)
+    aside = np.linalg.norm(offsets - t[..., None] * along[:, None], axis=2)
+    t[(aside >= _LINE_M) | (t <= _LINE_M)] = -np.inf
+    last = t.argmax(axis=1)
+    return t[np.arange(len(starts)), last], last
+
+
+def span(points: Float, contact: Float, line: Float, widest: float) -> tuple[Float, Float]:
+    """Two opposite contacts: the given one and the last of (N, 3) points on a line through it.
+
+    Both ways are tried, for the longer that is no more than `widest`. Where there is none it is taken for a thin wall,
+    with a finger on each side.
+    """
+    lengths, last = last_on_lines(points, np.stack([contact, contact]), np.stack([line, -line]))
+    lengths[lengths > widest] = -np.inf
+    way = int(lengths.argmax())
+    if lengths[way] > 2 * _LINE_M:
+        return contact, points[last[way]]
+    return contact - _WALL_M / 2 * line, contact + _WALL_M / 2 * line
+
+
 def antipodal_pairs(
     points: Float, directions: Float, widest: float, friction: float, count: int, rng: np.random.Generator
 ) -> Contacts:
@@ -88,12 +117,7 @@ def antipodal_pairs(
         batch = chosen[start : start + _BATCH]
         for sign in (1.0, -1.0):
             along = sign * directions[batch]
-            offsets = points[None] - points[batch][:, None]
-            t = np.einsum("bni,bi->bn", offsets, along)
-            aside = np.linalg.norm(offsets - t[..., None] * along[:, None], axis=2)
-            on_line = (aside < _LINE_M) & (t > _LINE_M)
-            longest = np.where(on_line, t, -np.inf).max(axis=1)
-            last = np.where(on_line, t, -np.inf).argmax(axis=1)
+            longest, last = last_on_lines(points, points[batch], along)
             fits = (longest > 2 * _LINE_M) & (longest <= widest)
             a, b = points[batch[fits]], points[last[fits]]
             line = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)

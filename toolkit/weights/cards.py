@@ -50,6 +50,7 @@ _CITE_LIGHTGLUE = "Lindenberger et al., LightGlue: Local Feature Matching at Lig
 _CITE_DINO = "Liu et al., Grounding DINO: Marrying DINO with Grounded Pre-Training, ECCV 2024"
 _CITE_SAM_VIT = "Kirillov et al., Segment Anything, ICCV 2023"
 _CITE_SAM = "Zhang et al., Faster Segment Anything: Towards Lightweight SAM for Mobile Applications, 2023"
+_CITE_CONTACT_GRASPNET = "Sundermeyer et al., Contact-GraspNet: Efficient 6-DoF Grasp Generation, ICRA 2021"
 _CITE_MIXVPR = "Ali-bey et al., MixVPR: Feature Mixing for Visual Place Recognition, WACV 2023"
 
 
@@ -177,6 +178,17 @@ CARDS: dict[str, WeightCard] = {
             sources=(f"{_SAM_FILES}/sam.onnx",),
             citation=_CITE_SAM,
             sha256="800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
+        ),
+        WeightCard(
+            name="contact_graspnet",
+            file="contact_graspnet.pth",
+            architecture="Contact-GraspNet with PointNet++, retrained in PyTorch",
+            licence="MIT (the package; trained on ACRONYM, CC BY-NC 4.0)",
+            size_mb=20.3,
+            sources=("pypi://cgn-pytorch==0.4.3/cgn_pytorch/checkpoints/current.pth",),
+            citation=_CITE_CONTACT_GRASPNET,
+            sha256="1cbcfb532a4a7f5d2cb784cfb1ce5ee49b8952f293e40b4694769babf3f4545f",
+            non_commercial=True,
         ),
         _trained_here("loftr-tabletop", "the toolkit's small LoFTR over XFeat's backbone", f"{_LOFTR}; {_CITE_XFEAT}"),
         _trained_here("mixvpr-tabletop", "the mixer of MixVPR over EfficientNet-Lite0, 160 px", _CITE_MIXVPR),
