@@ -53,9 +53,9 @@ def test_links_and_pictures_exist(page):
     assert not missing
 
 
-def test_the_readme_has_one_picture_and_two_commands():
+def test_the_readme_has_one_picture_one_film_and_two_commands():
     text = (ROOT / "README.md").read_text()
-    assert text.count("![") == 1
+    assert [Path(picture).suffix for picture in re.findall(r"!\[.*?\]\((.*?)\)", text)] == [".jpg", ".gif"]
     assert [code.strip() for language, code in BLOCK.findall(text) if language == "sh"][:2] == [
         "pip install . && toolkit ablate",
         "pip install '.[test]' && pytest",
