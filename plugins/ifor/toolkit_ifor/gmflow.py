@@ -15,8 +15,10 @@ _MEAN = (0.485, 0.456, 0.406)
 _STD = (0.229, 0.224, 0.225)
 """Colours as ImageNet's networks expect them."""
 
-STRIDE = 32
-"""Sides of images are multiples of this: at 1/4, there are eight windows a side."""
+_WINDOWS = (1, 2)
+"""Windows of attention a side, at 1/8 and at 1/4. Published are 2 and 8, for film; on crops of 160 pixels such windows
+see too little (five features a side), and flow ends up at the nearest multiple of 8 pixels.
+"""
 
 
 class Gmflow(nn.Module):
@@ -35,19 +37,19 @@ class Gmflow(nn.Module):
         """Return the (B, 2, H, W) flow (x, y), pixels, that takes source pixels to where the target shows the same.
 
         Args:
-            source: (B, 3, H, W) RGB, 0..1; sides multiples of `STRIDE`.
+            source: (B, 3, H, W) RGB, 0..1; sides multiples of 8.
             target: likewise.
         """
         images = torch.cat([source, target])
         images = (images - images.new_tensor(_MEAN)[:, None, None]) / images.new_tensor(_STD)[:, None, None]
         fine, coarse = self.backbone(images)
 
-        a, b = self.transformer(*coarse.chunk(2), windows=2)
+        a, b = self.transformer(*coarse.chunk(2), windows=_WINDOWS[0])
         flow = self.feature_flow_attn(a, match_everywhere(a, b))
 
         flow = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear", align_corners=True)
         a, b = fine.chunk(2)
-        a, b = self.transformer(a, warp(b, flow), windows=8)
+        a, b = self.transformer(a, warp(b, flow), windows=_WINDOWS[1])
         flow = self.feature_flow_attn(a, flow + match_nearby(a, b, radius=4), radius=1)
         return upsample(flow, self.upsampler(torch.cat([flow, a], dim=1)))
 
@@ -185,13 +187,14 @@ class Propagation(nn.Module):
 
     def forward(self, features: Tensor, flow: Tensor, radius: int | None = None) -> Tensor:
         """(B, C, H, W) features and (B, 2, H, W) flow to flow; from the whole image, or from a neighbourhood."""
-        query = self.q_proj(features.permute(0, 2, 3, 1))
-        # The checkpoints were trained with keys made of the queries.
-        key = self.k_proj(query)
+        pixels = features.permute(0, 2, 3, 1)
+        query = self.q_proj(pixels)
         if radius is None:
+            # The published weights were trained with keys made of the queries, here and not below.
+            key = self.k_proj(query)
             found = F.scaled_dot_product_attention(*(x.flatten(1, 2) for x in (query, key, flow.permute(0, 2, 3, 1))))
             return found.transpose(1, 2).reshape(flow.shape)
-        near = neighbours(key.permute(0, 3, 1, 2), radius)
+        near = neighbours(self.k_proj(pixels).permute(0, 3, 1, 2), radius)
         weights = torch.einsum("bhwc,bckhw->bkhw", query, near) / _CHANNELS**0.5
         return torch.einsum("bkhw,bckhw->bchw", weights.softmax(dim=1), neighbours(flow, radius))
 
