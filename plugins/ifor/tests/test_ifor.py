@@ -34,7 +34,8 @@ def moved(degrees, x, y, size=160):
     layers = [rng.uniform(-1, 1, (n, n, 3)) / np.sqrt(n) for n in (10, 20, 40, 80)]
     pattern = sum(cv2.resize(layer, (full, full), interpolation=cv2.INTER_CUBIC) for layer in layers)
     pattern = cv2.normalize(pattern, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    A = cv2.getRotationMatrix2D((size, size), degrees, 1.0) + [[0, 0, x], [0, 0, y]]
+    A = cv2.getRotationMatrix2D((size, size), degrees, 1.0)
+    A[:, 2] += x, y
     part = slice(size // 2, size // 2 + size)
     v, u = np.mgrid[part, part]
     xy = np.stack([u, v], axis=-1)

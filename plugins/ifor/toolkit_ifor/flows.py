@@ -27,7 +27,7 @@ GMFLOW = WeightCard(
 
 
 def dis() -> Flow:
-    """Dense inverse search (Kroeger et al., Fast Optical Flow using Dense Inverse Search, ECCV 2016), on grey values."""
+    """Fast optical flow using dense inverse search (Kroeger et al., ECCV 2016), on grey values."""
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
 
     def flow(source: Image, target: Image) -> Float:
@@ -37,8 +37,8 @@ def dis() -> Flow:
     return flow
 
 
-def gmflow(path: Path, device: str) -> Flow:
-    """GMFlow with a checkpoint's weights.
+def gmflow(path: Path, device: str, precision: str = "float32") -> Flow:
+    """GMFlow with a checkpoint's weights; `precision` float32 or bfloat16.
 
     Raises:
         ToolkitError: the file is damaged, or of another network.
@@ -51,10 +51,13 @@ def gmflow(path: Path, device: str) -> Flow:
     model = Gmflow()
     fill(model, read_tensors(path), path, "GMFlow with refinement")
     model.to(device)
+    autocast = torch.autocast(torch.device(device).type, torch.bfloat16, enabled=precision == "bfloat16")
 
     @torch.inference_mode()
     def flow(source: Image, target: Image) -> Float:
         images = torch.from_numpy(np.stack([source, target])).to(device).permute(0, 3, 1, 2).float() / 255
-        return model(images[:1], images[1:])[0].permute(1, 2, 0).cpu().numpy()
+        with autocast:
+            found = model(images[:1], images[1:])
+        return found[0].permute(1, 2, 0).float().cpu().numpy()
 
     return flow

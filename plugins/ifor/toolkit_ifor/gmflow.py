@@ -1,14 +1,14 @@
-"""GMFlow (Xu et al., Learning Optical Flow via Global Matching, CVPR 2022), with its refinement at a quarter of the size.
+"""GMFlow with refinement (Xu et al., GMFlow: Learning Optical Flow via Global Matching, CVPR 2022).
 
-Flow is found by comparing every pixel with every other at 1/8 of the image's size, and once more nearby at 1/4. Names of
-modules are those of the published checkpoints.
+Flow is found by comparing every pixel with every other at 1/8 of the image's size, and once more nearby at 1/4. Modules
+are called as in the published checkpoints.
 """
 
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn import functional
 
 _CHANNELS = 128
 _MEAN = (0.485, 0.456, 0.406)
@@ -47,7 +47,7 @@ class Gmflow(nn.Module):
         a, b = self.transformer(*coarse.chunk(2), windows=_WINDOWS[0])
         flow = self.feature_flow_attn(a, match_everywhere(a, b))
 
-        flow = 2 * F.interpolate(flow, scale_factor=2.0, mode="bilinear", align_corners=True)
+        flow = 2 * functional.interpolate(flow, scale_factor=2.0, mode="bilinear", align_corners=True)
         a, b = fine.chunk(2)
         a, b = self.transformer(a, warp(b, flow), windows=_WINDOWS[1])
         flow = self.feature_flow_attn(a, flow + match_nearby(a, b, radius=4), radius=1)
@@ -67,10 +67,10 @@ class Backbone(nn.Module):
         self.trident_conv = nn.Conv2d(_CHANNELS, _CHANNELS, 3, padding=1, bias=False)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        x = F.relu(F.instance_norm(self.conv1(images)))
+        x = functional.relu(functional.instance_norm(self.conv1(images)))
         x = self.conv2(self.layer3(self.layer2(self.layer1(x))))
         # One filter looks at both scales.
-        return self.trident_conv(x), F.conv2d(x, self.trident_conv.weight, stride=2, padding=1)
+        return self.trident_conv(x), functional.conv2d(x, self.trident_conv.weight, stride=2, padding=1)
 
 
 class Residual(nn.Module):
@@ -84,9 +84,9 @@ class Residual(nn.Module):
         self.downsample = None if same else nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride=stride))
 
     def forward(self, x: Tensor) -> Tensor:
-        y = F.relu(F.instance_norm(self.conv1(x)))
-        y = F.relu(F.instance_norm(self.conv2(y)))
-        return F.relu((x if self.downsample is None else F.instance_norm(self.downsample(x))) + y)
+        y = functional.relu(functional.instance_norm(self.conv1(x)))
+        y = functional.relu(functional.instance_norm(self.conv2(y)))
+        return functional.relu((x if self.downsample is None else functional.instance_norm(self.downsample(x))) + y)
 
 
 class Transformer(nn.Module):
@@ -127,7 +127,7 @@ class Windows:
         down, right = self.shift
         q, k, v = (self._cut(x.roll((-down, -right), dims=(1, 2)))[:, None] for x in (query, key, value))
         mask = None if self.mask is None else self.mask.to(q.device).repeat(len(query), 1, 1)[:, None]
-        found = F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+        found = functional.scaled_dot_product_attention(q, k, v, attn_mask=mask)
         return self._join(found[:, 0], query.shape).roll(self.shift, dims=(1, 2))
 
     def _cut(self, x: Tensor) -> Tensor:
@@ -192,7 +192,8 @@ class Propagation(nn.Module):
         if radius is None:
             # The published weights were trained with keys made of the queries, here and not below.
             key = self.k_proj(query)
-            found = F.scaled_dot_product_attention(*(x.flatten(1, 2) for x in (query, key, flow.permute(0, 2, 3, 1))))
+            values = flow.permute(0, 2, 3, 1).flatten(1, 2)
+            found = functional.scaled_dot_product_attention(query.flatten(1, 2), key.flatten(1, 2), values)
             return found.transpose(1, 2).reshape(flow.shape)
         near = neighbours(self.k_proj(pixels).permute(0, 3, 1, 2), radius)
         weights = torch.einsum("bhwc,bckhw->bkhw", query, near) / _CHANNELS**0.5
@@ -222,13 +223,19 @@ def match_everywhere(a: Tensor, b: Tensor) -> Tensor:
     """(B, 2, H, W) flow to the mean place in `b` that looks like the pixel of `a`."""
     xy = grid(a)
     places = xy.flatten(1).T.expand(len(a), -1, -1)
-    found = F.scaled_dot_product_attention(a.flatten(2).transpose(1, 2), b.flatten(2).transpose(1, 2), places)
+    found = functional.scaled_dot_product_attention(a.flatten(2).transpose(1, 2), b.flatten(2).transpose(1, 2), places)
     return found.transpose(1, 2).reshape(-1, *xy.shape) - xy
 
 
 def match_nearby(a: Tensor, b: Tensor, radius: int) -> Tensor:
     """As `match_everywhere`, among the pixels no further than `radius` either way."""
-    scores = torch.einsum("bchw,bckhw->bkhw", a, neighbours(b, radius)) / _CHANNELS**0.5
+    height, width = a.shape[2:]
+    padded, places = functional.pad(b, [radius] * 4), range(2 * radius + 1)
+    # One place after the other: all neighbours' features at once would be far more memory than work.
+    scores = torch.stack(
+        [(a * padded[:, :, y : y + height, x : x + width]).sum(dim=1) for y in places for x in places], dim=1
+    )
+    scores = scores / _CHANNELS**0.5
     exists = neighbours(torch.ones_like(b[:1, :1]), radius)[:, 0] > 0
     steps = torch.arange(-radius, radius + 1).to(a)
     dy, dx = torch.meshgrid(steps, steps, indexing="ij")
@@ -239,7 +246,7 @@ def match_nearby(a: Tensor, b: Tensor, radius: int) -> Tensor:
 def neighbours(x: Tensor, radius: int) -> Tensor:
     """(B, C, H, W) to (B, C, (2 radius + 1)^2, H, W), row by row; zeros beyond the border."""
     side = 2 * radius + 1
-    return F.unfold(x, side, padding=radius).reshape(*x.shape[:2], side**2, *x.shape[2:])
+    return functional.unfold(x, side, padding=radius).reshape(*x.shape[:2], side**2, *x.shape[2:])
 
 
 def warp(features: Tensor, flow: Tensor) -> Tensor:
@@ -247,7 +254,7 @@ def warp(features: Tensor, flow: Tensor) -> Tensor:
     height, width = features.shape[2:]
     last = flow.new_tensor([width - 1, height - 1])[:, None, None]
     where = 2 * (grid(flow) + flow) / last - 1
-    return F.grid_sample(features, where.permute(0, 2, 3, 1), align_corners=True)
+    return functional.grid_sample(features, where.permute(0, 2, 3, 1), align_corners=True)
 
 
 def upsample(flow: Tensor, logits: Tensor) -> Tensor:

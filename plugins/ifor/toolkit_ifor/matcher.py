@@ -33,6 +33,9 @@ class IforConfig(PluginConfig):
     )
     file: Path | None = Field(None, description="A checkpoint of your own for `gmflow`.")
     device: str = Field("cpu", description="Torch device of `gmflow`.")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="Of `gmflow`; bfloat16 is faster where the processor multiplies it."
+    )
     crop_size: int = Field(160, ge=64, multiple_of=8, description="Side of the crops, pixels.")
     starts: int = Field(
         1, ge=1, description="In-plane turns that the iteration starts from, evenly spaced; 1: objects stay upright."
@@ -63,9 +66,10 @@ class Alignment:
 class Ifor(Plugin):
     """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time.
 
-    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS or
-    GMFlow; IFOR trains RAFT), fit a similarity transform to it, again until nothing moves. The start whose crops agree
-    best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
+    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS
+    or GMFlow; IFOR trains RAFT), fit a similarity transform to it, and again until nothing moves. The start whose crops
+    agree best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the
+    pipeline's.
     """
 
     stage = "matcher"
@@ -101,7 +105,8 @@ class Ifor(Plugin):
 
     @cached_property
     def _flow(self) -> Flow:
-        return gmflow(self._path, self.config.device) if self.config.flow == "gmflow" else dis()
+        c = self.config
+        return gmflow(self._path, c.device, c.precision) if c.flow == "gmflow" else dis()
 
     def _match(self, query: Picture, reference: Picture) -> Matches:
         if min(int(query.mask.sum()), int(reference.mask.sum())) < _FEWEST_PIXELS:
@@ -124,11 +129,11 @@ class Ifor(Plugin):
             if inside.sum() < _FEWEST_PIXELS // 4:
                 break
             pixels, targets = xy[inside], _apply(A, there[inside])
-            fitted, _ = cv2.estimateAffinePartial2D(pixels.astype(np.float32), targets.astype(np.float32))
-            if fitted is None or not 0.2 < abs(np.linalg.det(fitted[:, :2])) < 5:
+            fitted = _similarity(pixels, targets)
+            if fitted is None:
                 break
             moved = np.linalg.norm(_apply(fitted, pixels) - _apply(A, pixels), axis=1).mean()
-            A = np.asarray(fitted, np.float64)
+            A = fitted  # pyright: ignore[reportConstantRedefinition]
             found = Alignment(A, _correlation(query, *_warp(reference, A)))
             best = max(best, found, key=lambda alignment: alignment.correlation)
             if moved < _SETTLED_PX:
@@ -183,6 +188,15 @@ def _correlation(query: Picture, image: Image, mask: Mask) -> float:
     a, b = a - a.mean(), b - b.mean()
     scale = np.linalg.norm(a) * np.linalg.norm(b)
     return float(a @ b / max(scale, 1e-9) * both.sum() / (query.mask | mask).sum())
+
+
+def _similarity(xy: Float, targets: Float) -> Float | None:
+    """The (2, 3) similarity that most points follow; None where there is none, or it scales too much."""
+    fitted, _ = cv2.estimateAffinePartial2D(xy.astype(np.float32), targets.astype(np.float32))
+    # OpenCV's stubs do not say that it may find none.
+    if fitted is None or not 0.2 < abs(np.linalg.det(fitted[:, :2])) < 5:  # pyright: ignore[reportUnnecessaryComparison]
+        return None
+    return np.asarray(fitted, np.float64)
 
 
 def _apply(A: Float, xy: Float) -> Float:
