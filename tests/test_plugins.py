@@ -48,7 +48,7 @@ def test_its_entry_points_name_what_it_has(folder):
     for group, points in project.get("entry-points", {}).items():
         for name, target in points.items():
             module, _, attribute = target.partition(":")
-            source = ast.parse((folder / f"{module}.py").read_text())
+            source = ast.parse((folder / f"{module.replace('.', '/')}.py").read_text())
             classes = {node.name: node for node in source.body if isinstance(node, ast.ClassDef)}
             assert group.startswith("toolkit.") and attribute in classes
             named = [n.value.value for n in classes[attribute].body if _sets(n, "name")]

@@ -74,6 +74,15 @@ def test_the_next_source_is_tried_and_the_file_kept(card, tmp_path, monkeypatch)
     assert resolve.resolve_weights("test").parent == tmp_path / "cache" / "weights"
 
 
+def test_a_card_of_a_plugin_needs_no_name(card, tmp_path):
+    own = replace(card, name="own", file="own.bin", sha256=hashlib.sha256(CONTENT).hexdigest())
+    path = resolve.resolve_weights(own)
+    assert path.read_bytes() == CONTENT and path == tmp_path / "cache" / "weights" / "own.bin"
+    path.write_bytes(b"swapped")
+    with pytest.raises(ToolkitError, match="or not 'own'"):
+        resolve.resolve_weights(own)
+
+
 def test_a_broken_download_goes_on_where_it_stopped(server, tmp_path):
     target = tmp_path / "file.bin"
     with pytest.raises(OSError):

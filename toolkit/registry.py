@@ -35,7 +35,8 @@ class Plugin:
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
         Config: its settings.
         weights: names of the weight cards of every checkpoint that its settings can choose.
-        cards: cards of its checkpoints that the toolkit does not know; they state the licence.
+        cards: cards of its checkpoints that the toolkit does not know; they state the licence, and
+            `toolkit.weights.resolve.resolve_weights` finds and fetches what they name.
     """
 
     stage: ClassVar[str]

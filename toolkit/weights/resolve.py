@@ -14,11 +14,11 @@ from toolkit.weights.cards import CARDS, WeightCard
 from toolkit.weights.sources import fetch, shipped_file
 
 
-def resolve_weights(name: str, given: Path | None = None) -> Path:
+def resolve_weights(wanted: str | WeightCard, given: Path | None = None) -> Path:
     """Find a checkpoint, fetching it when it is nowhere on this machine.
 
     Args:
-        name: a card's name.
+        wanted: a card's name, or a card of a plugin's own.
         given: a file the user names; used instead of the card's own, and not checked against its digest.
 
     Raises:
@@ -29,14 +29,14 @@ def resolve_weights(name: str, given: Path | None = None) -> Path:
         if not given.is_file():
             raise ToolkitError(f"weights file '{given}' does not exist")
         return given
-    card = find_card(name)
+    card = wanted if isinstance(wanted, WeightCard) else find_card(wanted)
     found = find_weights(card)
     if found is None:
         found = _fetch(card)
     elif not _is_intact(card, found):
         raise ToolkitError(
-            f"weights '{found}' are damaged or not '{name}': their sha256 differs from the card's; "
-            f"remove the file and run `toolkit weights pull {name}`"
+            f"weights '{found}' are damaged or not '{card.name}': their sha256 differs from the card's; "
+            "remove the file, and the next command fetches it again"
         )
     _complete(card, found)
     return found

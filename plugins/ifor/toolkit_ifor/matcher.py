@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,15 +15,28 @@ from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Image, Mask, Matches
+from toolkit.weights.resolve import file_digest, resolve_weights
+from toolkit_ifor.flows import GMFLOW, Flow, dis, gmflow
 
 _FEWEST_PIXELS = 100
 """Objects of fewer pixels have no flow."""
+
+_SETTLED_PX = 0.5
+"""Once an alignment moves pixels by less, there is no more to minimise."""
 
 
 class IforConfig(PluginConfig):
     """Settings of `ifor`."""
 
-    crop_size: int = Field(160, ge=64, description="Side of the crops, pixels.")
+    flow: Literal["dis", "gmflow"] = Field(
+        "dis", description="OpenCV's dense inverse search, or GMFlow, whose weights are fetched."
+    )
+    file: Path | None = Field(None, description="A checkpoint of your own for `gmflow`.")
+    device: str = Field("cpu", description="Torch device of `gmflow`.")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="Of `gmflow`; bfloat16 is faster where the processor multiplies it."
+    )
+    crop_size: int = Field(160, ge=64, multiple_of=8, description="Side of the crops, pixels.")
     starts: int = Field(
         1, ge=1, description="In-plane turns that the iteration starts from, evenly spaced; 1: objects stay upright."
     )
@@ -32,9 +48,9 @@ class IforConfig(PluginConfig):
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """(S, S) uint8 grey image, its object's mean outside the object; (S, S) bool mask; (2,) mask centre (x, y)."""
+    """(S, S, 3) uint8 RGB, its object's mean outside the object; (S, S) bool mask; (2,) mask centre (x, y)."""
 
-    gray: Image
+    image: Image
     mask: Mask
     center: Float
 
@@ -48,16 +64,18 @@ class Alignment:
 
 
 class Ifor(Plugin):
-    """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time and without weights.
+    """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time.
 
-    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS;
-    Kroeger et al., ECCV 2016; IFOR trains RAFT), fit a similarity transform to it, again. The start whose crops agree
-    best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the pipeline's.
+    From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS
+    or GMFlow; IFOR trains RAFT), fit a similarity transform to it, and again until nothing moves. The start whose crops
+    agree best is kept; pixels whose flow there and back agrees are the matches. Depth and the rigid fit are the
+    pipeline's.
     """
 
     stage = "matcher"
     name = "ifor"
     Config = IforConfig
+    cards = (GMFLOW,)
     config: IforConfig
 
     @property
@@ -65,49 +83,67 @@ class Ifor(Plugin):
         """Side of the crops, pixels."""
         return self.config.crop_size
 
+    def check_ready(self) -> None:
+        """Load GMFlow where it is wanted, so that a missing or foreign file stops the command before any work."""
+        _ = self._flow
+
+    def digests(self) -> dict[str, str]:
+        """The checkpoint's digest by its file name; DIS has none."""
+        return {self._path.name: file_digest(self._path)} if self.config.flow == "gmflow" else {}
+
     def extract(self, crops: Sequence[Crop]) -> list[Picture]:
-        """Grey pictures of the objects alone."""
+        """Pictures of the objects alone."""
         return [_picture(crop) for crop in crops]
 
     def match(self, query: Picture, references: Sequence[Picture]) -> list[Matches]:
         """Minimise the flow to each reference."""
-        dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-        return [self._match(dis, query, reference) for reference in references]
+        return [self._match(query, reference) for reference in references]
 
-    def _match(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture) -> Matches:
+    @cached_property
+    def _path(self) -> Path:
+        return resolve_weights(GMFLOW, self.config.file)
+
+    @cached_property
+    def _flow(self) -> Flow:
+        c = self.config
+        return gmflow(self._path, c.device, c.precision) if c.flow == "gmflow" else dis()
+
+    def _match(self, query: Picture, reference: Picture) -> Matches:
         if min(int(query.mask.sum()), int(reference.mask.sum())) < _FEWEST_PIXELS:
             return Matches.empty()
         turns = 2 * np.pi * np.arange(self.config.starts) / self.config.starts
-        best = max((self._align(dis, query, reference, turn) for turn in turns), key=lambda found: found.correlation)
+        best = max((self._align(query, reference, turn) for turn in turns), key=lambda found: found.correlation)
         if best.correlation < self.config.min_correlation:
             return Matches.empty()
-        return self._correspondences(dis, query, reference, best.A)
+        return self._correspondences(query, reference, best.A)
 
-    def _align(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture, turn: float) -> Alignment:
+    def _align(self, query: Picture, reference: Picture, turn: float) -> Alignment:
         A = _turn_about(query.center, reference.center, turn)
         best = Alignment(A, _correlation(query, *_warp(reference, A)))
         y, x = (part[::3] for part in np.nonzero(query.mask))
+        xy = np.stack([x, y], axis=1).astype(np.float64)
         for _ in range(self.config.iterations):
             warped, mask = _warp(reference, A)
-            flow = dis.calc(query.gray, warped, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
-            there = np.stack([x, y], axis=1) + flow[y, x]
+            there = xy + self._flow(query.image, warped)[y, x]
             inside = _inside(mask, there)
             if inside.sum() < _FEWEST_PIXELS // 4:
                 break
-            pixels = np.stack([x, y], axis=1)[inside].astype(np.float32)
-            fitted, _ = cv2.estimateAffinePartial2D(pixels, _apply(A, there[inside]).astype(np.float32))
-            if fitted is None or not 0.2 < abs(np.linalg.det(fitted[:, :2])) < 5:
+            pixels, targets = xy[inside], _apply(A, there[inside])
+            fitted = _similarity(pixels, targets)
+            if fitted is None:
                 break
-            A = np.asarray(fitted, np.float64)
+            moved = np.linalg.norm(_apply(fitted, pixels) - _apply(A, pixels), axis=1).mean()
+            A = fitted  # pyright: ignore[reportConstantRedefinition]
             found = Alignment(A, _correlation(query, *_warp(reference, A)))
             best = max(best, found, key=lambda alignment: alignment.correlation)
+            if moved < _SETTLED_PX:
+                break
         return best
 
-    def _correspondences(self, dis: cv2.DISOpticalFlow, query: Picture, reference: Picture, A: Float) -> Matches:
+    def _correspondences(self, query: Picture, reference: Picture, A: Float) -> Matches:
         c = self.config
         warped, mask = _warp(reference, A)
-        forth = dis.calc(query.gray, warped, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
-        back = dis.calc(warped, query.gray, None)  # pyright: ignore[reportCallIssue,reportArgumentType]
+        forth, back = self._flow(query.image, warped), self._flow(warped, query.image)
         y, x = np.nonzero(query.mask)
         grid = (x % c.step_px == 0) & (y % c.step_px == 0)
         xy = np.stack([x[grid], y[grid]], axis=1).astype(np.float64)
@@ -122,10 +158,10 @@ class Ifor(Plugin):
 
 
 def _picture(crop: Crop) -> Picture:
-    gray = cv2.cvtColor(crop.image, cv2.COLOR_RGB2GRAY)
-    mean = int(gray[crop.mask].mean()) if crop.mask.any() else 0
     y, x = np.nonzero(crop.mask)
-    return Picture(np.where(crop.mask, gray, mean).astype(np.uint8), crop.mask, np.array([x.mean(), y.mean()]))
+    mean = crop.image[y, x].mean(axis=0) if len(x) else np.zeros(3)
+    image = np.where(crop.mask[..., None], crop.image, mean.astype(np.uint8))
+    return Picture(image, crop.mask, np.array([x.mean(), y.mean()]))
 
 
 def _turn_about(center: Float, target: Float, turn: float) -> Float:
@@ -136,22 +172,31 @@ def _turn_about(center: Float, target: Float, turn: float) -> Float:
 
 def _warp(reference: Picture, A: Float) -> tuple[Image, Mask]:
     """The reference seen in the query's pixels, and its mask there."""
-    size = reference.gray.shape[::-1]
-    outside = int(reference.gray[~reference.mask][0]) if not reference.mask.all() else 0
-    gray = cv2.warpAffine(reference.gray, A, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=outside)
+    size = reference.mask.shape[::-1]
+    outside = reference.image[~reference.mask][0].tolist() if not reference.mask.all() else (0, 0, 0)
+    image = cv2.warpAffine(reference.image, A, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=outside)
     mask = cv2.warpAffine(reference.mask.astype(np.uint8), A, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
-    return np.asarray(gray, np.uint8), mask > 0
+    return np.asarray(image, np.uint8), mask > 0
 
 
-def _correlation(query: Picture, gray: Image, mask: Mask) -> float:
-    """Normalised correlation where both masks are, weighed by how far the masks overlap."""
+def _correlation(query: Picture, image: Image, mask: Mask) -> float:
+    """Normalised correlation of grey values where both masks are, weighed by how far the masks overlap."""
     both = query.mask & mask
     if both.sum() < _FEWEST_PIXELS // 4:
         return -1.0
-    a, b = query.gray[both].astype(np.float64), gray[both].astype(np.float64)
+    a, b = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[both].astype(np.float64) for one in (query.image, image))
     a, b = a - a.mean(), b - b.mean()
     scale = np.linalg.norm(a) * np.linalg.norm(b)
     return float(a @ b / max(scale, 1e-9) * both.sum() / (query.mask | mask).sum())
+
+
+def _similarity(xy: Float, targets: Float) -> Float | None:
+    """The (2, 3) similarity that most points follow; None where there is none, or it scales too much."""
+    fitted, _ = cv2.estimateAffinePartial2D(xy.astype(np.float32), targets.astype(np.float32))
+    # OpenCV's stubs do not say that it may find none.
+    if fitted is None or not 0.2 < abs(np.linalg.det(fitted[:, :2])) < 5:  # pyright: ignore[reportUnnecessaryComparison]
+        return None
+    return np.asarray(fitted, np.float64)
 
 
 def _apply(A: Float, xy: Float) -> Float:
