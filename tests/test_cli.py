@@ -78,7 +78,8 @@ def test_every_implementation_is_listed_and_shown():
         assert name in listed.stdout
     assert "cannot be used" not in listed.stdout
     shown = toolkit("show", "matcher", "sift")
-    assert "ratio" in shown.stdout and "RootSIFT" in shown.stdout
+    assert "ratio" in shown.stdout and "RootSIFT" in shown.stdout and "weights" not in shown.stdout
+    assert "non-commercial" in toolkit("show", "grasp", "contact_graspnet").stdout
 
 
 def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):

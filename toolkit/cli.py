@@ -235,9 +235,11 @@ def show(
     stage: Annotated[str, typer.Argument(help="A stage, e.g. matcher.")],
     name: Annotated[str, typer.Argument(help="An implementation, e.g. sift.")],
 ) -> None:
-    """Show one implementation: what it does, its settings with defaults, its version."""
+    """Show one implementation: what it does, its settings with defaults, its version, its weights."""
     from rich.console import Console
     from rich.table import Table
+
+    from toolkit.weights.resolve import find_card
 
     (registry,) = _registries(stage)
     plugin = registry.get(name)
@@ -250,6 +252,9 @@ def show(
         table.add_row(key, default, info.description or "")
     if plugin.Config.model_fields:
         console.print(table)
+    for card in map(find_card, plugin.weights):
+        terms = f"{card.licence}, non-commercial" if card.non_commercial else card.licence
+        console.print(f"weights {card.name}: {terms}; {card.size_mb:.1f} MB; {card.citation}", highlight=False)
 
 
 @app.command()
