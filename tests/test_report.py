@@ -136,7 +136,9 @@ def test_the_table_fits_its_console(width):
 
 
 def test_the_page_comes_with_its_table_as_markdown(tmp_path):
-    write_rows(tmp_path / "rows.jsonl", make_rows("rotation_deg=180,views=all", 0.9))
+    swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
+    rows = [row.model_copy(update={"settings": swept}) for row in make_rows("rotation_deg=180,views=all", 0.9)]
+    write_rows(tmp_path / "rows.jsonl", rows)
     write_report(tmp_path)
     heading, _, line, paper = (tmp_path / "summary.md").read_text().splitlines()
     assert heading.startswith("| cell | rotation, deg | p90 |") and "| 90% [80, 95] |" in line
