@@ -59,17 +59,12 @@ def ablate(
 
     from toolkit.ablate import run_experiment
     from toolkit.attribution import attribution
-    from toolkit.comparisons import print_results
     from toolkit.progress import Progress
-    from toolkit.results import read_rows
-    from toolkit.runs import ROWS
 
     options = run_options(choices, **run)
     loaded = read_experiment(experiment, choices)
     folder = run_experiment(attribution(loaded) if attribute else loaded, options, Progress(Console(stderr=True)))
-    console = Console()
-    print_results(read_rows(folder / ROWS), console)
-    console.print(f"\nReport: {folder / 'report.html'}", highlight=False, soft_wrap=True)
+    _show_run(folder, folder / "report.html")
 
 
 @app.command()
@@ -87,19 +82,13 @@ def rearrange(
     """Perceive, plan and move in simulation until every object stands at its goal; print how often that works."""
     from rich.console import Console
 
-    from toolkit.completion import MoveRow, summarize_completion
     from toolkit.progress import Progress
     from toolkit.rearrange import run_rearrangement
-    from toolkit.results import read_rows_as
-    from toolkit.runs import ROWS
-    from toolkit.tables import completion_table
 
     options = run_options(choices, **run)
     loaded = read_experiment(experiment, choices, rearranges=True)
     folder = run_rearrangement(loaded, options, Progress(Console(stderr=True)), film=film)
-    console = Console()
-    completion_table(summarize_completion(read_rows_as(MoveRow, folder / ROWS))).print(console)
-    console.print(f"\nReport: {folder / 'report.html'}", highlight=False, soft_wrap=True)
+    _show_run(folder, folder / "report.html")
 
 
 @app.command()
@@ -155,29 +144,16 @@ def report(
     out: OutOption = None,
 ) -> None:
     """Print a run's table again and write its report.html anew; with --out, merge shards into one run first."""
-    from rich.console import Console
-
-    from toolkit.comparisons import print_results
-    from toolkit.completion import MoveRow, summarize_completion
     from toolkit.merge import merge_shards
     from toolkit.report import write_completion_report, write_report
-    from toolkit.results import read_rows, read_rows_as
-    from toolkit.runs import ROWS, rearranges, require_run
-    from toolkit.tables import completion_table
+    from toolkit.runs import rearranges, require_run
 
     for folder in runs:
         require_run(folder)
     if len(runs) > 1 and out is None:
         raise ToolkitError("several runs are merged into a new one: name its folder with --out")
     run = runs[0] if out is None else merge_shards(runs, out)
-    console = Console()
-    if rearranges(run):
-        completion_table(summarize_completion(read_rows_as(MoveRow, run / ROWS))).print(console)
-        page = write_completion_report(run)
-    else:
-        print_results(read_rows(run / ROWS), console)
-        page = write_report(run)
-    console.print(f"\nReport: {page}", highlight=False, soft_wrap=True)
+    _show_run(run, write_completion_report(run) if rearranges(run) else write_report(run))
 
 
 @app.command()
@@ -429,6 +405,24 @@ def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit
         lines = [str(found)]
     for line in [*lines, card.citation]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+def _show_run(run: Path, page: Path) -> None:
+    """Print a run's tables, whatever its rows are, and say where its page lies."""
+    from rich.console import Console
+
+    from toolkit.comparisons import print_results
+    from toolkit.completion import MoveRow, summarize_completion
+    from toolkit.results import read_rows, read_rows_as
+    from toolkit.runs import ROWS, rearranges
+    from toolkit.tables import completion_table
+
+    console = Console()
+    if rearranges(run):
+        completion_table(summarize_completion(read_rows_as(MoveRow, run / ROWS))).print(console)
+    else:
+        print_results(read_rows(run / ROWS), console)
+    console.print(f"\nReport: {page}", highlight=False, soft_wrap=True)
 
 
 def _single_cell(experiment: str, choices: dict[str, Any]) -> Cell:

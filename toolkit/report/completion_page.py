@@ -18,7 +18,7 @@ from toolkit.files import write_text
 from toolkit.paper_figures import paper_completion
 from toolkit.report.plots import cell_colors, success_by
 from toolkit.results import Estimate, read_rows_as
-from toolkit.tables import completion_table
+from toolkit.tables import Column, FigureTable, Line, completion_table
 
 
 def write_completion_report(run: Path) -> Path:
@@ -61,8 +61,9 @@ def write_completion_report(run: Path) -> Path:
 
 def _failures_markdown(rows: Sequence[MoveRow]) -> str:
     """The reasons of failures, below the table of the cells."""
-    lines = [("cell", "stage", "reason", "objects"), ("---",) * 4, *failure_table(rows)]
-    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
+    columns = tuple(map(Column, ("cell", "stage", "reason", "objects")))
+    lines = tuple(Line(tuple(map(str, failure))) for failure in failure_table(rows))
+    return FigureTable("What kept objects from their goals", columns, lines).markdown()
 
 
 def failure_table(rows: Sequence[MoveRow]) -> list[tuple[str, str, str, int]]:

@@ -40,7 +40,7 @@ class Chain:
     def frames(self, q: Float) -> tuple[Float, Float]:
         """(S, J, 4, 4) world frames of the joints, and (S, 4, 4) of the end, for (S, J) angles."""
         angle = q[..., None, None]
-        constant, sine, cosine = self._steps
+        constant, sine, cosine = self._joint_terms
         steps = constant + np.sin(angle) * sine + np.cos(angle) * cosine
         joints = np.empty_like(steps)
         frame = self.T_base
@@ -49,7 +49,7 @@ class Chain:
         return joints, frame @ self.T_end
 
     @cached_property
-    def _steps(self) -> tuple[Float, Float, Float]:
+    def _joint_terms(self) -> tuple[Float, Float, Float]:
         """(J, 4, 4) each: a joint's frame in the one before it is the first, plus sine and cosine times the others."""
         K = np.zeros((len(self.axes), 4, 4))
         K[:, :3, :3] = _cross_matrices(self.axes)
@@ -63,11 +63,11 @@ class Chain:
         """
         q = np.array(starts, np.float64)
         away = np.arange(len(q))
-        for step_number in range(_STEPS + 1):
+        for taken in range(_STEPS + 1):
             error, jacobian = self._linearize(q[away], T_world_end)
             on = ~self._there(error)
             away, error, jacobian = away[on], error[on], jacobian[on]
-            if not len(away) or step_number == _STEPS:
+            if not len(away) or taken == _STEPS:
                 break
             transposed = np.swapaxes(jacobian, 1, 2)
             step = transposed @ np.linalg.solve(jacobian @ transposed + _DAMPING * np.eye(6), error[..., None])

@@ -20,6 +20,8 @@ _MOTOR = 150.0
 
 _COUPLING = 50.0
 _GEAR = 200.0
+"""Largest force (N) or torque (Nm) between the two fingers' drives: more than any load's."""
+
 _TURNS = 2 * np.pi
 """Joints without limits turn this far either way."""
 
