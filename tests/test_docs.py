@@ -33,7 +33,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch, capsys):
 
 def _shell(code: str, folder: Path) -> None:
     """Run with a `toolkit` that is this interpreter's, installed or not, and with what else is installed beside it."""
-    function = f'toolkit() {{ "{sys.executable}" -c "from toolkit.cli import main; main()" "$@"; }}\n'
+    function = f'toolkit() {{ "{sys.executable}" -c "from toolkit.cli.commands import main; main()" "$@"; }}\n'
     path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
     programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Imports go one way (DESIGN 2), and the command line starts without anything heavy."""
+"""Imports go one way, a stage's folder is its menu, and the command line starts without anything heavy."""
 
 from __future__ import annotations
 
@@ -10,93 +10,97 @@ from pathlib import Path
 import pytest
 
 import toolkit
+from toolkit.stages import REGISTRIES
 
 ROOT = Path(toolkit.__file__).parent
-STAGE_FOLDERS = (
-    "registration",
-    "segmenters",
-    "associators",
-    "descriptors",
-    "indexes",
-    "retrieval",
-    "matchers",
-    "pnp",
-    "refiners",
-    "planners",
-    "grasps",
-    "motion",
-)
 
 LAYERS = [
-    {"errors", "slots", "paths", "meter", "progress", "files"},
-    {"geometry", "jax_geometry", "paper_figures"},
-    {"types"},
-    {"footprints"},
-    {"moves"},
-    {"registry", "crops", "regions", "lifting", "digests", "stats", "metrics", "weights", "models"},
-    {"parallel"},
-    {
-        "stages",
-        "database",
-        "fusion",
-        "lighting",
-        "plane",
-        "assignment",
-        "results",
-        "completion",
-        "pictures",
-        "sim",
-    },
-    {"tables"},
-    {"comparisons"},
-    set(STAGE_FOLDERS),
-    {"pipeline", "sight", "episode", "cache", "data", "report"},
-    {"executors"},
-    {"experiment", "evaluate", "runs", "doctor", "recording", "film"},
-    {"worker"},
-    {"ablate", "estimate", "rearrange", "training", "conformance", "scaffold", "attribution", "view", "merge"},
-    {"pytest_plugin"},
-    {"options"},
+    {"errors", "slots", "paths", "progress", "files"},
+    {"geometry", "parallel"},
+    {"types", "weights"},
+    {"digests", "registry", "models", "sim", "results"},
+    {"data", "perception"},
+    {"rearrangement", "stages", "pictures", "training"},
+    {"harness", "plugin_kit"},
     {"cli"},
 ]
-"""A module may import from its own layer and those before it."""
+"""Parts of the package, from the ground up: one may import from those before it, and beside it without a circle."""
+
+WINGS = ("perception", "rearrangement")
+"""Their folders are stages. What stages are made of comes before `stages.py`, what joins them after the folders."""
+
+JOINING = {"perception": {"pipeline"}, "rearrangement": {"sight", "episode"}}
 
 
 def layer(part: str) -> int:
     return next(i for i, parts in enumerate(LAYERS) if part in parts)
 
 
-def imports() -> list[tuple[Path, str, str]]:
+def imports() -> list[tuple[Path, list[str], list[str]]]:
+    """(file, its place, the place it imports from), places as paths below the package."""
     found = []
     for path in sorted(ROOT.rglob("*.py")):
-        own = path.relative_to(ROOT).parts[0].removesuffix(".py")
-        if own in {"__init__", "experiments"}:
+        own = list(path.relative_to(ROOT).with_suffix("").parts)
+        if own[0] in {"__init__", "experiments"}:
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("toolkit."):
-                found.append((path, own, node.module.split(".")[1]))
+                found.append((path, own, node.module.split(".")[1:]))
     return found
 
 
 def test_imports_go_one_way():
     wrong = [
-        f"{path.relative_to(ROOT)} imports toolkit.{used}"
+        f"{path.relative_to(ROOT)} imports toolkit.{used[0]}"
         for path, own, used in imports()
-        if own != used and layer(used) > layer(own)
+        if own[0] != used[0] and layer(used[0]) > layer(own[0])
     ]
     assert not wrong, "\n".join(wrong)
 
 
-def test_a_stage_knows_none_of_its_neighbours():
+def test_no_two_parts_import_each_other():
+    uses: dict[str, set[str]] = {}
+    for _, own, used in imports():
+        if own[0] != used[0]:
+            uses.setdefault(own[0], set()).add(used[0])
+
+    def reach(part: str, seen: set[str]) -> set[str]:
+        for other in uses.get(part, set()) - seen:
+            reach(other, seen | {other})
+            seen |= {other, *reach(other, seen)}
+        return seen
+
+    assert not [part for part in uses if part in reach(part, set())]
+
+
+@pytest.mark.parametrize("wing", WINGS)
+def test_inside_a_wing_imports_go_from_parts_to_stages_to_what_joins_them(wing):
+    folders = {path.name for path in (ROOT / wing).iterdir() if path.is_dir()}
+
+    def floor(place: list[str]) -> int:
+        name = place[1] if len(place) > 1 else "__init__"
+        return 3 if name in JOINING[wing] else 2 if name in folders else 1 if name == "stages" else 0
+
     wrong = [
-        f"{path.relative_to(ROOT)} imports toolkit.{used}"
+        f"{path.relative_to(ROOT)} imports {'.'.join(used)}"
         for path, own, used in imports()
-        if own in STAGE_FOLDERS and used in STAGE_FOLDERS and own != used
+        if own[0] == used[0] == wing
+        and (floor(used) > floor(own) or (floor(own) == 2 == floor(used) and own[1] != used[1]))
     ]
     assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("stage", REGISTRIES)
+def test_a_stages_folder_is_its_menu(stage):
+    builtins = {entry.name: entry.target for entry in REGISTRIES[stage].entries() if entry.origin == "toolkit"}
+    modules = {name: target.partition(":")[0] for name, target in builtins.items()}
+    assert {name: module.rpartition(".")[2] for name, module in modules.items()} == {name: name for name in builtins}
+    (package,) = {module.rpartition(".")[0] for module in modules.values()}
+    folder = ROOT.joinpath(*package.split(".")[1:])
+    assert {path.stem for path in folder.glob("*.py")} == {"__init__", *builtins}
 
 
 @pytest.mark.parametrize("heavy", ["torch", "jax", "cv2", "numpy", "pybullet", "kornia", "faiss", "rerun"])
 def test_the_command_line_starts_without(heavy):
-    code = f"import sys, toolkit.cli; sys.exit({heavy!r} in sys.modules)"
+    code = f"import sys, toolkit.cli.commands; sys.exit({heavy!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from toolkit.pipeline import Stages
+from toolkit.perception.pipeline import Stages
 from toolkit.slots import SLOTS
 from toolkit.stages import REGISTRIES
 

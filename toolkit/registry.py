@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, ValidationError
-from rapidfuzz import process
 
-from toolkit.errors import ToolkitError
+from toolkit.errors import ToolkitError, suggest
 
 if TYPE_CHECKING:
     from toolkit.weights.cards import WeightCard
@@ -152,14 +151,6 @@ class Registry(Generic[StageT]):
         for point in entry_points(group=self.group):
             origin = point.dist.name if point.dist is not None else point.value
             self._entries.setdefault(point.name, []).append(Entry(point.name, point.value, origin, point.load))
-
-
-def suggest(word: str, choices: list[str]) -> str:
-    """The tail of an unknown-name message: the nearest choice, or all of them."""
-    nearest = process.extractOne(word, choices, score_cutoff=60)
-    if nearest:
-        return f"; did you mean '{nearest[0]}'?"
-    return f"; choose from: {', '.join(choices)}" if choices else ""
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

@@ -17,7 +17,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from toolkit.runs import ROWS
+from toolkit.harness.runs import ROWS
 
 RUNS = Path("runs") / "docs"
 _OWNED = re.compile(

@@ -3,12 +3,32 @@
 from __future__ import annotations
 
 MODULES: dict[str, tuple[str, ...]] = {
-    "Values": ("types", "moves", "footprints", "fusion", "geometry", "errors"),
-    "Stages and plugins": ("registry", "stages", "conformance", "weights.cards", "weights.resolve"),
-    "Perception": ("pipeline", "database", "crops", "regions", "lifting"),
-    "Rearrangement": ("episode", "sight", "executors.replay", "planners.rollout", "motion.paths"),
-    "Experiments": ("experiment", "ablate", "rearrange", "attribution", "runs", "merge", "parallel", "cache"),
-    "Rows and figures": ("evaluate", "metrics", "stats", "results", "comparisons", "completion"),
+    "Values": ("types", "geometry", "errors", "perception.fusion", "rearrangement.moves", "rearrangement.footprints"),
+    "Stages and plugins": (
+        "registry",
+        "stages",
+        "perception.stages",
+        "rearrangement.stages",
+        "plugin_kit.conformance",
+        "weights.cards",
+        "weights.resolve",
+    ),
+    "Perception": tuple(f"perception.{name}" for name in ("pipeline", "database", "crops", "regions", "lifting")),
+    "Rearrangement": (
+        "rearrangement.episode",
+        "rearrangement.sight",
+        "rearrangement.paths",
+        "rearrangement.executors.replay",
+        "rearrangement.planners.puzzles.rollout",
+    ),
+    "Experiments": (
+        *(f"harness.{name}" for name in ("experiment", "ablate", "rearrange", "attribution", "runs", "merge", "cache")),
+        "parallel",
+    ),
+    "Rows and figures": (
+        *(f"results.{name}" for name in ("rows", "scoring", "metrics", "stats", "comparisons", "completion")),
+        "pictures.poses",
+    ),
     "Data": ("data.bop", "data.dataset", "data.tabletop", "data.objects"),
     "Training": ("training.config", "training.run", "training.pairs"),
 }

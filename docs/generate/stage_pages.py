@@ -10,11 +10,13 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from toolkit import stages
+from toolkit.perception import stages as perception
+from toolkit.rearrangement import stages as rearrangement
 from toolkit.registry import Plugin, Registry
 from toolkit.stages import REGISTRIES
 from toolkit.weights.cards import CARDS, WeightCard
 
+WINGS = (perception, rearrangement)
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<", "multiple_of": "multiple of"}
 
 
@@ -42,11 +44,11 @@ def _plugins(registry: Registry[Any]) -> Iterator[type[Plugin]]:
 
 
 def _protocol(stage: str) -> type:
-    """The Protocol of `stages.py` that the stage's registry is annotated with."""
-    name = next(n for n, value in vars(stages).items() if value is REGISTRIES[stage])
-    found = re.fullmatch(r"Registry\[(\w+)\]", stages.__annotations__[name])
+    """The Protocol that the stage's registry is annotated with, in the wing that defines both."""
+    wing, name = next((w, n) for w in WINGS for n, value in vars(w).items() if value is REGISTRIES[stage])
+    found = re.fullmatch(r"Registry\[(\w+)\]", wing.__annotations__[name])
     assert found is not None, name
-    return getattr(stages, found[1])
+    return getattr(wing, found[1])
 
 
 def _overview() -> str:
@@ -71,7 +73,7 @@ def _stage(registry: Registry[Any]) -> str:
     lines = [
         f"# {registry.stage}",
         "",
-        f"{_summary(protocol)} Its Protocol is [`{protocol.__name__}`][toolkit.stages.{protocol.__name__}]; plugins"
+        f"{_summary(protocol)} Its Protocol is [`{protocol.__name__}`][{protocol.__module__}.{protocol.__name__}]; plugins"
         f" announce theirs under the entry-point group `{registry.group}`.",
         "",
         "| name | what it is | weights |",

@@ -20,20 +20,20 @@ from sklearn.linear_model import LogisticRegression
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.experiment import expand, load_experiment
-from toolkit.fusion import FusedModel, Models, Start
-from toolkit.lighting import estimate_light
-from toolkit.metrics import PoseError, assign_goal_objects, pose_error
-from toolkit.pipeline import starts_of
-from toolkit.refiners.cloud import Cloud
-from toolkit.refiners.combine import agreeing
-from toolkit.refiners.compare import Hypothesis, compare
-from toolkit.refiners.confidence import features
-from toolkit.refiners.goal import LEVELS_PX, view_goal
-from toolkit.refiners.likeness import unlikeness
-from toolkit.refiners.render_compare import RenderCompare
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.worker import make_runner
+from toolkit.perception.fusion import FusedModel, Models, Start
+from toolkit.perception.lighting import estimate_light
+from toolkit.perception.pipeline import starts_of
+from toolkit.perception.refiners.comparing.cloud import Cloud
+from toolkit.perception.refiners.comparing.combine import agreeing
+from toolkit.perception.refiners.comparing.compare import Hypothesis, compare
+from toolkit.perception.refiners.comparing.confidence import features
+from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
+from toolkit.perception.refiners.comparing.likeness import unlikeness
+from toolkit.perception.refiners.render_compare import RenderCompare
+from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error
 from toolkit.types import Float
-from toolkit.worker import make_runner
 
 EXPECTED_WRONG = 0.06
 BINS = (0.0, 0.2, 0.5, 0.8, 0.9, 0.95, 1.0)

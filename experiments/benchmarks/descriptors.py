@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from toolkit.crops import crop_region
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
+from toolkit.perception.crops import crop_region
 from toolkit.progress import Progress
+from toolkit.results.stats import bootstrap_interval, wilson_interval
 from toolkit.stages import DESCRIPTORS, Descriptor
-from toolkit.stats import bootstrap_interval, wilson_interval
 from toolkit.training.mixvpr import azimuth_gap_deg
 from toolkit.training.pool import is_held_out
 from toolkit.types import Camera, Capture, Crop, Float, Frame, Segment, TrueObject

@@ -17,17 +17,17 @@ from rich.progress import track
 
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
-from toolkit.executors.kinematic import Kinematic
-from toolkit.experiment import expand, load_experiment
-from toolkit.fusion import FusedModel, fuse
-from toolkit.grasps.gripper import Gripper
-from toolkit.moves import PickPlace
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.worker import make_runner
 from toolkit.paths import cache_root
+from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.rearrangement.executors.kinematic import Kinematic
+from toolkit.rearrangement.grasps.geometry.gripper import Gripper
+from toolkit.rearrangement.moves import PickPlace
+from toolkit.results.stats import wilson_interval
 from toolkit.sim.lift import lifted_height
 from toolkit.stages import GRASPERS
-from toolkit.stats import wilson_interval
 from toolkit.types import Failure
-from toolkit.worker import make_runner
 
 ORACLES = {"pipeline.segmenter": ["oracle"], "pipeline.associator": ["oracle"]}
 LIFTED_M = 0.02

@@ -22,7 +22,7 @@ import torch
 from kornia.feature import LoFTR
 from scipy.ndimage import gaussian_filter
 
-from toolkit.matchers.loftr import LoftrConfig, LoftrMatcher
+from toolkit.perception.matchers.loftr import LoftrConfig, LoftrMatcher
 from toolkit.types import Crop, Matches
 
 

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from toolkit.crops import crop_region
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project, transform_points
-from toolkit.lifting import lift_pixels
+from toolkit.perception.crops import crop_region
+from toolkit.perception.lifting import lift_pixels
 from toolkit.progress import Advance, Progress
 from toolkit.stages import MATCHERS, Matcher
 from toolkit.types import Crop, Float, Frame, Mask, Matches, Segment

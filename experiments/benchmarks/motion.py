@@ -16,15 +16,15 @@ from rich.progress import track
 
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
-from toolkit.executors.arm import ArmConfig, base_pose
 from toolkit.geometry import make_transform
-from toolkit.motion.paths import length
-from toolkit.moves import MotionProblem
 from toolkit.paths import cache_root
+from toolkit.rearrangement.executors.arm import ArmConfig, base_pose
+from toolkit.rearrangement.moves import MotionProblem
+from toolkit.rearrangement.paths import length
+from toolkit.results.stats import wilson_interval
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robots import ROBOTS
 from toolkit.stages import MOTION
-from toolkit.stats import wilson_interval
 from toolkit.types import Failure, Float
 
 PAIRS_A_SCENE = 10

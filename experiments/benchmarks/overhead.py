@@ -25,13 +25,13 @@ from typing import Any
 
 from rich.console import Console
 
-from toolkit.ablate import run_experiment
 from toolkit.data.source import open_dataset
-from toolkit.experiment import Experiment, create_stage, expand, load_experiment
-from toolkit.meter import Meter
+from toolkit.harness.ablate import run_experiment
+from toolkit.harness.experiment import Experiment, create_stage, expand, load_experiment
+from toolkit.harness.runs import RunOptions
 from toolkit.paths import cache_root
+from toolkit.perception.meter import Meter
 from toolkit.progress import Progress
-from toolkit.runs import RunOptions
 from toolkit.slots import SLOTS
 
 

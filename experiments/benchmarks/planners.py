@@ -14,9 +14,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from toolkit.moves import Plan
-from toolkit.planners.rollout import rollout
-from toolkit.planners.suite import suite
+from toolkit.rearrangement.moves import Plan
+from toolkit.rearrangement.planners.puzzles.rollout import rollout
+from toolkit.rearrangement.planners.puzzles.suite import suite
 from toolkit.stages import PLANNERS
 
 

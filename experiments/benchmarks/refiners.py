@@ -22,16 +22,16 @@ from rich.progress import track
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.database import Database
-from toolkit.experiment import expand, load_experiment
-from toolkit.fusion import FusedModel, fuse
-from toolkit.pipeline import Pipeline
-from toolkit.refiners import cloud
-from toolkit.refiners.compare import compare
-from toolkit.refiners.goal import LEVELS_PX, view_goal
-from toolkit.refiners.render_compare import RenderCompare, RenderCompareConfig
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.worker import make_runner
+from toolkit.perception.database import Database
+from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.perception.pipeline import Pipeline
+from toolkit.perception.refiners import cloud
+from toolkit.perception.refiners.comparing.compare import compare
+from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
+from toolkit.perception.refiners.render_compare import RenderCompare, RenderCompareConfig
 from toolkit.types import Frame, Segment
-from toolkit.worker import make_runner
 
 
 def timed(call: Callable[[], Any], repeats: int) -> float:

@@ -17,8 +17,8 @@ from scipy.optimize import linear_sum_assignment
 from toolkit.data.bop import load_capture
 from toolkit.errors import ToolkitError
 from toolkit.progress import Progress
+from toolkit.results.stats import bootstrap_interval, wilson_interval
 from toolkit.stages import SEGMENTERS
-from toolkit.stats import bootstrap_interval, wilson_interval
 from toolkit.types import Capture, Frame, Mask, Segment
 
 MATCH_IOU = 0.5

@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from toolkit.data.bop import load_capture
-from toolkit.evaluate import overlay_picture
-from toolkit.experiment import expand, load_experiment
-from toolkit.worker import make_runner
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.worker import make_runner
+from toolkit.pictures.poses import overlay_picture
 
 
 def main() -> None:

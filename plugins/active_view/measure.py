@@ -21,11 +21,11 @@ from toolkit_active_view import doubt, gains
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.evaluate import score
-from toolkit.pipeline import Pipeline, PipelineSettings, Stages
+from toolkit.perception.pipeline import Pipeline, PipelineSettings, Stages
+from toolkit.results.scoring import score
+from toolkit.results.stats import PairedDifference, bootstrap_interval, paired_difference
 from toolkit.slots import SLOTS
 from toolkit.stages import REGISTRIES
-from toolkit.stats import PairedDifference, bootstrap_interval, paired_difference
 from toolkit.types import Capture
 
 CHOICES = {

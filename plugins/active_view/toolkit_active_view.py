@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from toolkit.database import Database
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, lift, observation_vector, project
-from toolkit.pipeline import Pipeline
-from toolkit.refiners.turns import yaw_rotations
+from toolkit.perception.database import Database
+from toolkit.perception.pipeline import Pipeline
+from toolkit.perception.refiners.comparing.rotations import yaw_rotations
 from toolkit.registry import PluginConfig
 from toolkit.types import Camera, Float, Frame, Mask, PoseEstimate
 

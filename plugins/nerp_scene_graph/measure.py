@@ -23,17 +23,17 @@ from typing import Any
 import numpy as np
 from toolkit_nerp_scene_graph import NerpSceneGraph, NerpSceneGraphConfig
 
-from toolkit.assignment import assign_instances, contenders, instance_similarity
-from toolkit.crops import crop_region
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.database import Database
-from toolkit.fusion import Models, RefineTask
-from toolkit.pipeline import Pipeline, Stages
-from toolkit.regions import true_owner
+from toolkit.perception.assignment import assign_instances, contenders, instance_similarity
+from toolkit.perception.crops import crop_region
+from toolkit.perception.database import Database
+from toolkit.perception.fusion import Models, RefineTask
+from toolkit.perception.pipeline import Pipeline, Stages
+from toolkit.perception.regions import true_owner
+from toolkit.results.stats import paired_difference, wilson_interval
 from toolkit.slots import SLOTS
 from toolkit.stages import REGISTRIES
-from toolkit.stats import paired_difference, wilson_interval
 from toolkit.types import Capture, Frame
 
 CHOICES = {

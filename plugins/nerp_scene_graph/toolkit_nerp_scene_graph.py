@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import Field
 from scipy.special import logsumexp
 
-from toolkit.crops import crop_region
 from toolkit.errors import ToolkitError
-from toolkit.fusion import FusedModel, Models, RefineTask
 from toolkit.geometry import invert, lift, project
-from toolkit.refiners.turns import yaw_rotations
+from toolkit.perception.crops import crop_region
+from toolkit.perception.fusion import FusedModel, Models, RefineTask
+from toolkit.perception.refiners.comparing.rotations import yaw_rotations
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.stages import DESCRIPTORS, REFINERS
 from toolkit.types import Failure, Float, Frame, Image, Mask, Refined, Segment

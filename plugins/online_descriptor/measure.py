@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from toolkit_online_descriptor import OnlineDescriptor, OnlineDescriptorConfig
 
-from toolkit.crops import crop_region
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
-from toolkit.stats import paired_difference, wilson_interval
+from toolkit.perception.crops import crop_region
+from toolkit.results.stats import paired_difference, wilson_interval
 from toolkit.types import Frame, Segment
 
 

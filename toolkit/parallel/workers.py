@@ -6,9 +6,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
-from toolkit.errors import ToolkitError
+from toolkit.errors import ToolkitError, suggest
 from toolkit.parallel.call import nothing
-from toolkit.registry import suggest
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")

@@ -50,7 +50,7 @@ class World:
     def __init__(self, renderer: Renderer = "tiny") -> None:
         self.client: int = pybullet.connect(pybullet.DIRECT)
         self._renderer = pybullet.ER_TINY_RENDERER
-        # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/test_world.py measures it).
+        # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/sim/test_world.py measures it).
         self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
         if renderer == "egl":
             with silence():

@@ -110,7 +110,7 @@ class PairSource:
 
 
 def augmented_crop(view: View, config: PairsConfig, rng: np.random.Generator) -> Sample:
-    """Cut a view's object out as the pipeline does (`toolkit.crops`), rolled, occluded, relit, blurred and noisy."""
+    """Cut a view's object out as the pipeline does (`perception.crops`), rolled, occluded, relit, blurred and noisy."""
     visible = view.mask
     if rng.random() < config.occlusion:
         visible = _bitten(visible, rng)

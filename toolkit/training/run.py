@@ -13,11 +13,11 @@ import torch
 import yaml
 
 from toolkit.data.objects import load_object_set
-from toolkit.errors import ToolkitError
+from toolkit.errors import ToolkitError, suggest
 from toolkit.files import write_text
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
-from toolkit.registry import suggest, validated
+from toolkit.registry import validated
 from toolkit.training.config import LoftrTraining, MixvprTraining
 from toolkit.training.export import export
 from toolkit.training.loftr import LoftrTask

@@ -7,9 +7,8 @@ import os
 from functools import lru_cache
 from pathlib import Path
 
-from toolkit.errors import ToolkitError
+from toolkit.errors import ToolkitError, suggest
 from toolkit.paths import cache_root
-from toolkit.registry import suggest
 from toolkit.weights.cards import CARDS, WeightCard
 from toolkit.weights.sources import fetch, shipped_file
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from toolkit_active_view import ActiveViewConfig, doubt, gains, look_actively, shown, visible_share
 
-from toolkit.database import Database
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, look_at, observation_vector, project
+from toolkit.perception.database import Database
 from toolkit.types import Camera, Failure, Frame, PoseEstimate, Region, Segment
 
 SIZE = 160

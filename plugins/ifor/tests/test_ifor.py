@@ -7,8 +7,8 @@ import torch
 from toolkit_ifor import Ifor, IforConfig
 from toolkit_ifor.flows import GMFLOW, dis, gmflow
 
-from toolkit.conformance import Conforms
 from toolkit.errors import ToolkitError
+from toolkit.plugin_kit.conformance import Conforms
 from toolkit.types import Crop
 from toolkit.weights.resolve import find_weights
 

@@ -13,12 +13,12 @@ from toolkit_nerp_scene_graph import (
     softassign,
 )
 
-from toolkit.assignment import contenders, instance_similarity
-from toolkit.conformance import Conforms
-from toolkit.conformance.scene import crops, goal_frame, refine_task, segments_of
 from toolkit.errors import ToolkitError
-from toolkit.fusion import FusedModel, RefineTask
 from toolkit.geometry import invert, look_at, project, rotation_z
+from toolkit.perception.assignment import contenders, instance_similarity
+from toolkit.perception.fusion import FusedModel, RefineTask
+from toolkit.plugin_kit.conformance import Conforms
+from toolkit.plugin_kit.conformance.scene import crops, goal_frame, refine_task, segments_of
 from toolkit.stages import DESCRIPTORS
 from toolkit.types import Camera, Frame, Segment
 

@@ -3,7 +3,7 @@
 import numpy as np
 from toolkit_online_descriptor import OnlineDescriptor, OnlineDescriptorConfig
 
-from toolkit.conformance import Conforms
+from toolkit.plugin_kit.conformance import Conforms
 
 
 class TestOnlineDescriptor(Conforms):

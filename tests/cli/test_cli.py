@@ -1,0 +1,163 @@
+"""The command line as a user meets it: exit codes, one-sentence answers, files written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+
+from toolkit.results.rows import read_rows
+
+
+def toolkit(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
+        env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+MISTAKES = {
+    "unknown experiment": (["ablate", "quik"], "did you mean 'quick'?"),
+    "unknown stage name": (["ablate", "--matcher", "sfit"], "unknown matcher 'sfit'; did you mean 'sift'?"),
+    "unknown setting": (["ablate", "--set", "pipeline.matcher.ratoi=0.8"], "did you mean 'ratio'?"),
+    "unknown path": (["ablate", "--set", "pipelin.views=1"], "did you mean 'pipeline'?"),
+    "a --set without a value": (["ablate", "--set", "pipeline.views"], "--set takes path.to.key=value"),
+    "a value that does not fit": (["ablate", "--set", "pipeline.min_matches=two"], "min_matches"),
+    "too many views": (["ablate", "--scenes", "1", "--set", "pipeline.views=9"], "the capture has 8 current frames"),
+    "no such object folder": (["ablate", "--objects", "nowhere"], "is not a folder"),
+    "too many objects": (["ablate", "--set", "dataset.max_objects=200"], "max_objects is 200"),
+    "no such plugin": (["ablate", "--plugin", "nowhere.py"], "does not exist"),
+    "no such capture": (["estimate", "nowhere"], "does not exist"),
+    "a sweep for estimate": (["estimate", "x", "--matcher", "sift", "--matcher", "loftr"], "use `toolkit ablate`"),
+    "no such run": (["report", "nowhere"], "is not a run folder"),
+    "no such run to view": (["view", "nowhere"], "neither a run folder (with rows.jsonl) nor a capture folder"),
+    "unknown stage": (["list", "matchr"], "did you mean 'matcher'?"),
+    "unknown implementation": (["show", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "a sweep to attribute": (["ablate", "quick", "--attribute"], "attribution takes one setting"),
+    "a new plugin for no stage": (["plugin", "new", "matchr", "mine"], "did you mean 'matcher'?"),
+    "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
+    "a check of nothing": (["check", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_mistakes_are_answered_in_a_line_or_two(case, tmp_path):
+    arguments, said = MISTAKES[case]
+    done = toolkit(*arguments, folder=tmp_path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    error = done.stderr[done.stderr.index("error: ") :]
+    assert said in error
+    assert len(error.strip().splitlines()) <= 2
+
+
+def test_yaml_that_does_not_parse_is_named_with_its_line(tmp_path):
+    (tmp_path / "bad.yaml").write_text("name: x\npipeline: {matcher: sift\nseed: 3\n")
+    done = toolkit("ablate", "bad.yaml", folder=tmp_path)
+    assert done.returncode == 2
+    assert re.search(r"error: experiment 'bad\.yaml', line \d+: ", done.stderr)
+
+
+def test_every_implementation_is_listed_and_shown():
+    listed = toolkit("list")
+    assert listed.returncode == 0
+    for name in ("oracle", "depth_plane", "kmeans", "color_hist", "faiss", "instance_vote", "sift", "jax_ransac"):
+        assert name in listed.stdout
+    assert "cannot be used" not in listed.stdout
+    shown = toolkit("show", "matcher", "sift")
+    assert "ratio" in shown.stdout and "RootSIFT" in shown.stdout and "weights" not in shown.stdout
+    assert "non-commercial" in toolkit("show", "grasp", "contact_graspnet").stdout
+
+
+def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
+    info = tmp_path / "broken-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[toolkit.matchers]\nbad = no_such_module:Matcher\n")
+    done = subprocess.run(
+        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", "list", "matcher"],
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}", "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "cannot be used" in done.stdout and "RootSIFT" in done.stdout
+
+
+def test_doctor_says_what_the_machine_has():
+    done = toolkit("doctor")
+    assert done.returncode == 0
+    for word in ("cores:", "torch", "renderer:", "cache:"):
+        assert word in done.stdout
+
+
+def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
+    done = toolkit("estimate", dataset / "000000", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    poses = json.loads((tmp_path / "out" / "poses.json").read_text())
+    assert poses["schema"] == 1 and poses["capture"] == "000000"
+    assert len(poses["objects"]) == 3
+    for entry in poses["objects"]:
+        assert set(entry) == {
+            *("goal_object", "bbox_xyxy", "mask", "instance", "status", "T_goal_current"),
+            *("confidence", "equivalents", "ambiguity", "covariance", "stage", "reason", "time_ms"),
+        }
+        mask = cv2.imread(str(tmp_path / "out" / entry["mask"]), cv2.IMREAD_GRAYSCALE)
+        x0, y0, x1, y1 = entry["bbox_xyxy"]
+        assert mask.shape == (480, 640) and mask[y0 : y1 + 1, x0 : x1 + 1].any()
+        assert (entry["T_goal_current"] is None) == (entry["status"] != "estimated")
+    picture = cv2.imread(str(tmp_path / "out" / "overlay.png"))
+    goal = cv2.imread(str(dataset / "000000" / "goal" / "rgb" / "000000.png"))
+    assert picture.shape == goal.shape and (picture != goal).any()
+    assert list((tmp_path / "out").glob("matches_*.png"))
+
+
+def test_estimate_needs_no_truth(capture_copy, tmp_path):
+    for scene in ("current", "goal"):
+        (capture_copy / scene / "scene_gt.json").unlink()
+        shutil.rmtree(capture_copy / scene / "mask_visib")
+    (capture_copy / "models_info.json").unlink()
+    done = toolkit("estimate", capture_copy, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert any(o["status"] == "estimated" for o in json.loads((tmp_path / "out" / "poses.json").read_text())["objects"])
+
+
+def test_the_oracle_without_truth_is_a_users_mistake(capture_copy, tmp_path):
+    for scene in ("current", "goal"):
+        (capture_copy / scene / "scene_gt.json").unlink()
+        shutil.rmtree(capture_copy / scene / "mask_visib")
+    done = toolkit("estimate", capture_copy, "--segmenter", "oracle", "--out", tmp_path / "out")
+    assert done.returncode == 2 and done.stderr.startswith("error: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_scores_a_folder_of_captures(dataset, tmp_path):
+    done = toolkit("evaluate", dataset, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    rows = read_rows(tmp_path / "out" / "rows.jsonl")
+    assert {row.scene for row in rows} == {"000000", "000001"} and len(rows) == 6
+    assert sum(row.success_sym for row in rows) >= 2
+    assert (tmp_path / "out" / "000001" / "poses.json").is_file()
+    assert "5 deg 2 cm" in done.stdout
+
+
+def test_datasets_are_built_and_shown(tmp_path):
+    built = toolkit("dataset", "build", tmp_path / "d", "--scenes", 1, "--set", "views=2", "--set", "max_objects=2")
+    assert built.returncode == 0, built.stderr
+    shown = toolkit("dataset", "show", tmp_path / "d")
+    assert "captures: 1" in shown.stdout and "rendered by PyBullet" in shown.stdout
+    assert (tmp_path / "d" / "overview.png").is_file()

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import textwrap
+
+import pytest
+
+from toolkit.errors import ToolkitError
+from toolkit.harness.experiment import expand, load_experiment, parse_set, shipped_experiments
+
+BASE = """
+name: mine
+dataset: {objects: procedural, scenes: 2}
+pipeline:
+  segmenter: oracle
+  goal_segmenter: oracle
+  associator: oracle
+  descriptor: hog
+  index: numpy
+  retriever: instance_vote
+  matcher: {name: sift, ratio: 0.9}
+  pnp: poselib
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text):
+        path = tmp_path / "mine.yaml"
+        path.write_text(textwrap.dedent(text))
+        return str(path)
+
+    return _write
+
+
+@pytest.mark.parametrize("name", list(shipped_experiments()))
+def test_shipped_experiments_are_valid(name):
+    assert load_experiment(name).name == name
+    assert expand(load_experiment(name))
+
+
+def test_an_option_given_twice_sweeps_and_once_replaces(write):
+    path = write(BASE)
+    overrides = {"pipeline.pnp": ["poselib", "opencv_epnp"], "pipeline.descriptor": ["color_hist"]}
+    cells = expand(load_experiment(path, overrides))
+    assert [cell.name for cell in cells] == ["pnp=poselib", "pnp=opencv_epnp"]
+    assert {cell.pipeline.descriptor.name for cell in cells} == {"color_hist"}
+
+
+def test_two_sweeps_make_a_product():
+    overrides = {"pipeline.matcher": ["sift", "loftr"], "pipeline.pnp": ["poselib", "jax_ransac"]}
+    experiment = load_experiment("matchers", overrides)
+    assert len(expand(experiment)) == 4
+
+
+def test_settings_stay_with_their_implementation(write):
+    path = write(BASE)
+    (same,) = expand(load_experiment(path, {"pipeline.matcher": ["sift"]}))
+    assert same.resolved()["pipeline"]["matcher"]["ratio"] == 0.9
+    (changed,) = expand(load_experiment(path, {"pipeline.matcher.ratio": [0.7]}))
+    assert changed.resolved()["pipeline"]["matcher"]["ratio"] == 0.7
+    (deep,) = expand(load_experiment(path, {"pipeline.retriever.top_k": [3]}))
+    assert deep.resolved()["pipeline"]["retriever"]["top_k"] == 3
+
+
+def test_every_default_is_written_out(write):
+    (cell,) = expand(load_experiment(write(BASE)))
+    resolved = cell.resolved()
+    assert resolved["pipeline"]["pnp"]["reprojection_px"] > 0
+    assert resolved["pipeline"]["fuse"] == "all" and resolved["dataset"]["views"] == 8
+
+
+def test_named_cells_multiply_with_the_sweep(write):
+    text = BASE + "cells:\n- {name: a}\n- {name: b, set: {pipeline.fuse: first}}\nsweep: {pipeline.views: [all, 1]}\n"
+    cells = expand(load_experiment(write(text)))
+    assert [c.name for c in cells] == ["a,views=all", "a,views=1", "b,views=all", "b,views=1"]
+    assert [c.pipeline.fuse for c in cells] == ["all", "all", "first", "first"]
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "said"),
+    [
+        (BASE + "  pnp: [", {}, r"mine.yaml', line \d+"),
+        ("- a list", {}, "must be a mapping"),
+        (BASE + "sceens: 3\n", {}, "unknown setting 'sceens'"),
+        (BASE, {"pipeline.matcher": ["sfit"]}, "unknown matcher 'sfit'; did you mean 'sift'"),
+        (BASE, {"pipeline.matchr": ["sift"]}, "unknown setting 'matchr'; did you mean 'matcher'"),
+        (BASE, {"pipeline.matcher.ratoi": [1]}, "unknown setting 'ratoi'; did you mean 'ratio'"),
+        (BASE, {"dataset.scene": [1]}, "dataset: unknown setting 'scene'; did you mean 'scenes'"),
+        (BASE, {"pipelin.fuse": ["all"]}, "there is no 'pipelin'; did you mean 'pipeline'"),
+        (BASE, {"pipeline.fuse": ["some"]}, "pipeline: setting 'fuse'"),
+        (BASE, {"pipeline.pnp": ["poselib", "poselib"]}, "two cells are called 'pnp=poselib'"),
+        (BASE.replace("name: mine", "name: a/b"), {}, "name"),
+    ],
+)
+def test_mistakes_are_answered_in_one_sentence(write, text, overrides, said):
+    with pytest.raises(ToolkitError, match=said) as error:
+        expand(load_experiment(write(text), overrides))
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_experiment_is_answered_with_the_nearest(tmp_path):
+    with pytest.raises(ToolkitError, match="did you mean 'quick'"):
+        load_experiment("quikc")
+    with pytest.raises(ToolkitError, match="cannot be read"):
+        load_experiment(str(tmp_path / "absent.yaml"))
+
+
+def test_set_options_are_yaml():
+    assert parse_set("pipeline.views=all,1") == ("pipeline.views", ["all", 1])
+    assert parse_set("a.b=0.5") == ("a.b", [0.5])
+    for bad in ("pipeline.views", "=3", "a="):
+        with pytest.raises(ToolkitError, match="--set takes"):
+            parse_set(bad)

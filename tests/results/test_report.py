@@ -1,0 +1,170 @@
+"""The report: self-contained, truthful about what can be compared, and safe with any text."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from toolkit.errors import ToolkitError
+from toolkit.geometry import invert, project
+from toolkit.pictures.drawing import overlay
+from toolkit.results.comparisons import compare_cells, print_comparisons
+from toolkit.results.report import write_report
+from toolkit.results.rows import Row, read_rows, summarize, write_rows
+from toolkit.results.stats import holm, mcnemar
+from toolkit.results.tables import motion_table
+
+
+def make_rows(cell, share, dataset="a", scenes=20, **fields):
+    """Rows of which a share is right, the same objects in every cell."""
+    rng = np.random.default_rng(0)
+    rank = rng.permutation(scenes * 3)
+    return [
+        Row(
+            cell=cell,
+            settings={"pipeline.views": cell},
+            dataset=dataset,
+            scene_id=i // 3,
+            scene=f"{i // 3:06d}",
+            object=i % 3,
+            object_name=f"object_{i % 7}",
+            symmetry="none",
+            **_outcome(bool(rank[i] < share * scenes * 3)),
+            **fields,
+        )
+        for i in range(scenes * 3)
+    ]
+
+
+def _outcome(right):
+    if not right:
+        return {"status": "failed", "stage": "pnp", "reason": "5 inliers of 12, at least 8 are needed <b>&"}
+    errors = {"rotation_error_deg": 1.0, "translation_error_cm": 0.5}
+    symmetric = {f"{key}_sym": value for key, value in errors.items()}
+    return {"status": "estimated", "success": True, "success_sym": True, **errors, **symmetric}
+
+
+def test_the_report_needs_nothing_else(tmp_path):
+    write_rows(tmp_path / "rows.jsonl", make_rows("good", 0.9) + make_rows("<script>bad", 0.4))
+    page = write_report(tmp_path).read_text()
+    assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:|#)", page)
+    assert "<script>" not in page
+    assert "good puts 90% of 60 objects" in page
+    assert "N inliers of N, at least N are needed &lt;b&gt;&amp;" in page
+
+
+def test_a_run_without_rows_is_said_to_be_so(tmp_path):
+    write_rows(tmp_path / "rows.jsonl", [])
+    with pytest.raises(ToolkitError, match="no rows"):
+        write_report(tmp_path)
+
+
+def test_cells_are_compared_on_the_same_scenes_only():
+    rows = make_rows("a1", 0.9) + make_rows("a2", 0.5) + make_rows("b1", 0.3, dataset="b")
+    (comparison,) = compare_cells(rows)
+    assert (comparison.cell, comparison.against) == ("a2", "a1")
+    assert comparison.success.mean == pytest.approx(-0.4)
+    assert comparison.p < 1e-5 and comparison.verdict == "40.0 points worse"
+
+
+def test_p_values_are_adjusted_for_all_pairs_of_the_sweep():
+    three = make_rows("a", 0.9) + make_rows("b", 0.7) + make_rows("c", 0.6)
+    success = {cell: [row.success_sym for row in three if row.cell == cell] for cell in "abc"}
+    raw = [mcnemar(success[x], success[y]) for x, y in ("ab", "ac", "bc")]
+    found = compare_cells(three)
+    assert [c.p for c in found] == holm(raw)[:2]
+    assert {c.comparisons for c in found} == {3}
+
+
+def test_what_is_not_shown_is_said_with_what_would_show_it():
+    rows = make_rows("a", 0.9, scenes=8) + make_rows("b", 0.85, scenes=8)
+    (comparison,) = compare_cells(rows)
+    assert not comparison.shown
+    said = re.fullmatch(
+        r"no difference shown; one of (\d+) points most likely would have been; "
+        r"if the 4\.2 points seen are real, about (\d+) scenes show it",
+        comparison.verdict,
+    )
+    assert said and int(said[1]) > 4 and int(said[2]) > 8
+    small = make_rows("a", 1.0, scenes=2) + make_rows("b", 0.4, scenes=2)
+    (few,) = compare_cells(small)
+    assert not few.shown and "most likely" in few.verdict
+    assert int(re.search(r"about (\d+) scenes", few.verdict)[1]) > 2
+    (same,) = compare_cells(make_rows("a", 0.9) + make_rows("b", 0.9))
+    assert same.verdict == "the same on every object" and same.p == 1
+    (single,) = compare_cells(make_rows("a", 1.0, scenes=1) + make_rows("b", 0.0, scenes=1))
+    assert single.verdict == "one scene shows nothing"
+
+
+def test_completion_is_compared_by_scene():
+    a, b = make_rows("a", 0.9), make_rows("b", 0.5)
+    (comparison,) = compare_cells(a + b)
+    done = [np.mean([all(r.success_sym for r in c[i : i + 3]) for i in range(0, 60, 3)]) for c in (a, b)]
+    assert comparison.completion.mean == pytest.approx(done[1] - done[0])
+
+
+def test_the_comparison_is_printed_under_the_table():
+    console = Console(width=140, record=True, file=io.StringIO())
+    print_comparisons(compare_cells(make_rows("best", 0.9) + make_rows("views=1", 0.5)), console)
+    text = console.export_text()
+    assert "views=1" in text and "-40.0 [" in text and "40.0 points worse" in text
+    print_comparisons([], console)
+    assert not console.export_text()
+
+
+def test_rows_survive_their_file(tmp_path):
+    rows = make_rows("a", 0.5)
+    write_rows(tmp_path / "rows.jsonl", rows)
+    assert read_rows(tmp_path / "rows.jsonl") == rows
+    with (tmp_path / "rows.jsonl").open("a") as file:
+        file.write('{"cell": "a", "torn')
+    assert read_rows(tmp_path / "rows.jsonl") == rows
+
+
+@pytest.mark.parametrize("width", [80, 140])
+def test_the_table_fits_its_console(width):
+    console = Console(width=width, record=True, file=io.StringIO())
+    motion_table(summarize(make_rows("rotation_deg=180,views=all", 0.9))).print(console)
+    text = console.export_text()
+    assert "rotation_deg=180,views=all" in text
+    assert "1.00 [1.00, 1.00]" in text and "90% [80, 95]" in text
+    assert ("matcher calls" in text) == (width > 110)
+
+
+def test_the_page_comes_with_its_table_as_markdown(tmp_path):
+    swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
+    rows = [row.model_copy(update={"settings": swept}) for row in make_rows("rotation_deg=180,views=all", 0.9)]
+    write_rows(tmp_path / "rows.jsonl", rows)
+    write_report(tmp_path)
+    heading, _, line, paper = (tmp_path / "summary.md").read_text().splitlines()
+    assert heading.startswith("| cell | rotation, deg | p90 |") and "| 90% [80, 95] |" in line
+    assert paper.startswith("| *paper, Table I* | *0.25* |  | *0.18* |")
+    assert heading.count("|") == line.count("|") == paper.count("|")
+
+
+def test_an_outline_lies_around_the_object(capture):
+    truth = next(iter(capture.truth.values()))
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    grid = np.random.default_rng(0).random((4000, 3))
+    box = truth.model.box_min + np.concatenate([corners, grid]) * truth.model.box_size
+    world = box @ truth.T_world_goal[:3, :3].T + truth.T_world_goal[:3, 3]
+    picture = overlay(capture.goal, [("0", world, (255, 0, 0))])
+    changed = np.argwhere((picture != capture.goal.rgb).any(axis=2))[:, ::-1]
+    pixels, _ = project(capture.goal.camera.K, invert(capture.goal.camera.T_world_camera), world)
+    drawn = changed[(picture[changed[:, 1], changed[:, 0]] == [255, 0, 0]).all(axis=1)]
+    assert len(drawn) > 50
+    # The label, in the outline's colour, stands above the box.
+    low, high = pixels.min(axis=0) - [6, 30], pixels.max(axis=0) + 6
+    assert ((drawn >= low) & (drawn <= high)).all()
+
+
+def test_confidence_is_shown_where_it_is_stated(tmp_path):
+    rows = [row.model_copy(update={"confidence": 0.9 if row.success else 0.2}) for row in make_rows("sure", 0.8)]
+    write_rows(tmp_path / "rows.jsonl", rows + make_rows("silent", 0.5))
+    assert "stated confidence" in write_report(tmp_path).read_text()
+    write_rows(tmp_path / "rows.jsonl", make_rows("silent", 0.5))
+    assert "stated confidence" not in write_report(tmp_path).read_text()

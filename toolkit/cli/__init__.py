@@ -1,0 +1,1 @@
+"""The command line: Typer only; nothing heavy is imported before a command needs it."""

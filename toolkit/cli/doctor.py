@@ -1,0 +1,47 @@
+"""What this machine has, in lines a person can send with a question."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Iterator
+
+from toolkit import __version__
+from toolkit.errors import ToolkitError
+from toolkit.harness.cache import library_versions
+from toolkit.paths import cache_root
+from toolkit.sim.bullet import best_renderer
+from toolkit.stages import REGISTRIES
+
+
+def diagnose() -> Iterator[str]:
+    """Yield one finding a line."""
+    yield f"toolkit {__version__}, Python {platform.python_version()}, {platform.platform()}"
+    yield f"cores: {len(os.sched_getaffinity(0))}"
+    yield "libraries: " + ", ".join(f"{name} {number}" for name, number in library_versions().items())
+    yield f"accelerator: {_accelerator()}"
+    egl = "loads here" if best_renderer() == "egl" else "does not load here"
+    yield f"renderer: TinyRenderer always; PyBullet's EGL plug-in {egl}"
+    yield f"cache: {cache_root()} ({_cache_state()})"
+    for registry in REGISTRIES.values():
+        for entry in registry.entries():
+            try:
+                registry.get(entry.name)
+            except ToolkitError as error:
+                yield f"broken: {error}"
+    yield f"interpreter: {sys.executable}"
+
+
+def _accelerator() -> str:
+    import torch
+
+    return torch.cuda.get_device_name() if torch.cuda.is_available() else "none seen by torch; stages run on the CPU"
+
+
+def _cache_state() -> str:
+    root = cache_root()
+    if not root.exists():
+        return "not made yet"
+    size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
+    return f"{size / 1e9:.2f} GB" if os.access(root, os.W_OK) else "cannot be written; nothing will be kept"

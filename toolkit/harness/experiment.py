@@ -1,0 +1,331 @@
+"""YAML -> validated experiment -> cells. A cell is one complete setting; a sweep is the product of its lists."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from toolkit.data.source import resolve_settings
+from toolkit.errors import ToolkitError, suggest
+from toolkit.perception.pipeline import PipelineSettings
+from toolkit.rearrangement.episode import EpisodeSettings
+from toolkit.registry import Registry, load_plugin_file, validated
+from toolkit.slots import REARRANGE_SLOTS, SLOTS
+from toolkit.stages import REGISTRIES, register_module
+
+_ALL_SLOTS = SLOTS | REARRANGE_SLOTS
+
+
+class StageChoice(BaseModel):
+    """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    name: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The implementation's own settings, not yet checked."""
+        return dict(self.model_extra or {})
+
+
+class PipelineChoice(PipelineSettings):
+    """The `pipeline:` part of an experiment: one choice a slot, and the pipeline's own settings."""
+
+    registration: StageChoice = StageChoice(name="none")
+    segmenter: StageChoice
+    goal_segmenter: StageChoice
+    associator: StageChoice
+    descriptor: StageChoice
+    index: StageChoice
+    retriever: StageChoice
+    matcher: StageChoice
+    pnp: StageChoice
+    refiner: StageChoice = StageChoice(name="none")
+
+    @field_validator(*SLOTS, mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+
+class RearrangeChoice(EpisodeSettings):
+    """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
+
+    planner: StageChoice
+    executor: StageChoice
+
+    @field_validator(*REARRANGE_SLOTS, mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+
+class CellSpec(BaseModel):
+    """A named cell of an experiment that is not a product: what it changes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    set: dict[str, Any] = Field(default_factory=dict[str, Any], description="Changed values by path.")
+
+
+class Experiment(BaseModel):
+    """A validated experiment file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    description: str = ""
+    seed: int = Field(0, ge=0)
+    plugins: tuple[Path, ...] = ()
+    dataset: dict[str, Any]
+    pipeline: dict[str, Any]
+    rearrange: dict[str, Any] | None = None
+    cells: tuple[CellSpec, ...] = ()
+    sweep: dict[str, list[Any]] = Field(default_factory=dict[str, list[Any]])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One complete setting of an experiment.
+
+    Attributes:
+        name: what sets it apart, e.g. `matcher=sift,views=1`; the experiment's name when nothing is swept.
+        settings: the swept values by path.
+        seed: the experiment's seed.
+        dataset: the `dataset:` part, with the sweep applied and every default written out.
+        pipeline: the `pipeline:` part, checked.
+        rearrange: the `rearrange:` part, checked; None where the experiment has none.
+    """
+
+    name: str
+    settings: dict[str, Any]
+    seed: int
+    dataset: dict[str, Any]
+    pipeline: PipelineChoice
+    rearrange: RearrangeChoice | None = None
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything that decides this cell's results, with every default written out."""
+        resolved = {
+            "cell": self.name,
+            "settings": self.settings,
+            "seed": self.seed,
+            "dataset": self.dataset,
+            "pipeline": _resolved(self.pipeline, SLOTS),
+        }
+        if self.rearrange is not None:
+            resolved["rearrange"] = _resolved(self.rearrange, REARRANGE_SLOTS)
+        return resolved
+
+    @classmethod
+    def read(cls, resolved: Mapping[str, Any]) -> Cell:
+        """The cell that `resolved` gave.
+
+        Raises:
+            ToolkitError: a setting does not fit.
+            KeyError: a part is missing.
+        """
+        parts = (resolved["cell"], resolved["settings"], resolved["seed"], resolved["dataset"])
+        pipeline = validated(PipelineChoice, resolved["pipeline"], "pipeline")
+        rearrange = resolved.get("rearrange")
+        return cls(*parts, pipeline, rearrange and validated(RearrangeChoice, rearrange, "rearrange"))
+
+
+def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) -> dict[str, Any]:
+    """A part of an experiment with every default of its stages written out."""
+    resolved = part.model_dump(mode="json")
+    for slot, stage in slots.items():
+        choice: StageChoice = getattr(part, slot)
+        registry = REGISTRIES[stage]
+        config = registry.config(registry.get(choice.name), choice.settings)
+        resolved[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+    return resolved
+
+
+def shipped_experiments() -> dict[str, Path]:
+    """Experiments that travel with the package, by name; in a checkout, those of `experiments/`."""
+    packaged = Path(str(files("toolkit"))) / "experiments"
+    folder = packaged if packaged.is_dir() else Path(__file__).parent.parent / "experiments"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_experiment(
+    name_or_path: str, overrides: Mapping[str, Sequence[Any]] | None = None, *, rearranges: bool = False
+) -> Experiment:
+    """Read an experiment by shipped name or by path, and apply command-line overrides.
+
+    Args:
+        name_or_path: `quick`, or `my/experiment.yaml`.
+        overrides: path -> values; one value replaces, several sweep. Such a sweep takes the place of the file's own,
+            whose paths stay at their first value.
+        rearranges: an experiment without a `rearrange:` part gets one with every default.
+
+    Raises:
+        ToolkitError: no such experiment, YAML that does not parse (file and line), unknown keys or wrong values.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in {".yaml", ".yml"}:
+        shipped = shipped_experiments()
+        if name_or_path not in shipped:
+            raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
+        path = shipped[name_or_path]
+    data = _read_yaml(path)
+    if rearranges:
+        data.setdefault("rearrange", {})
+    if isinstance(data.get("rearrange"), dict):
+        data["rearrange"] = {"planner": "optimal", "executor": "kinematic", **data["rearrange"]}
+    if any(len(values) > 1 for values in (overrides or {}).values()):
+        _drop_sweep(data)
+    for key, values in (overrides or {}).items():
+        _override(data, key, list(values))
+    experiment = validated(Experiment, data, f"experiment '{path}'")
+    plugins = tuple((path.parent / plugin).absolute() for plugin in experiment.plugins)
+    for file in plugins:
+        register_plugin_file(file)
+    return experiment.model_copy(update={"plugins": plugins})
+
+
+def register_plugin_file(file: Path) -> None:
+    """Load a plugin file that is not installed and register its classes.
+
+    Raises:
+        ToolkitError: the file is absent, does not import, or holds no plugin.
+    """
+    if register_module(load_plugin_file(file), origin=str(file)) == 0:
+        raise ToolkitError(f"plugin file '{file}' defines no Plugin class with `stage` and `name`")
+
+
+def expand(experiment: Experiment) -> list[Cell]:
+    """The product of the named cells and the sweep, every stage name and setting checked.
+
+    Raises:
+        ToolkitError: an unknown path, stage name or setting, or two cells that come out the same.
+    """
+    bases = experiment.cells or (CellSpec(name=""),)
+    paths = list(experiment.sweep)
+    cells: list[Cell] = []
+    for base in bases:
+        for values in itertools.product(*experiment.sweep.values()):
+            swept = dict(zip(paths, values, strict=True))
+            data = copy.deepcopy({"dataset": experiment.dataset, "pipeline": experiment.pipeline})
+            if experiment.rearrange is not None:
+                data["rearrange"] = copy.deepcopy(experiment.rearrange)
+            for path, value in {**base.set, **swept}.items():
+                _assign(data, path, value)
+            parts = [base.name] if base.name else []
+            parts += [f"{_short(path)}={_label(value)}" for path, value in swept.items()]
+            name = ",".join(parts) or experiment.name
+            pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
+            settings = {"cell": base.name, **swept} if base.name else swept
+            dataset = resolve_settings(data["dataset"], experiment.seed)
+            rearrange = validated(RearrangeChoice, data["rearrange"], "rearrange") if "rearrange" in data else None
+            cell = Cell(name, settings, experiment.seed, dataset, pipeline, rearrange)
+            cell.resolved()
+            cells.append(cell)
+    names = [cell.name for cell in cells]
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled:
+        raise ToolkitError(f"two cells are called '{doubled}'; give every swept value once")
+    return cells
+
+
+def episode_settings(rearrange: RearrangeChoice) -> EpisodeSettings:
+    """The rearrangement's own settings, without the stage choices."""
+    return EpisodeSettings(**{name: getattr(rearrange, name) for name in EpisodeSettings.model_fields})
+
+
+def own_settings(pipeline: PipelineChoice) -> PipelineSettings:
+    """The pipeline's own settings, without the stage choices."""
+    return PipelineSettings(**{name: getattr(pipeline, name) for name in PipelineSettings.model_fields})
+
+
+def create_stage(part: PipelineChoice | RearrangeChoice, slot: str) -> Any:
+    """Make the implementation that fills one slot: a `Plugin` that follows the slot's Protocol."""
+    choice: StageChoice = getattr(part, slot)
+    registry: Registry[Any] = REGISTRIES[_ALL_SLOTS[slot]]
+    return registry.create(choice.name, choice.settings)
+
+
+def parse_set(option: str) -> tuple[str, list[Any]]:
+    """Split `path.to.key=v1,v2` into the path and its YAML values.
+
+    Raises:
+        ToolkitError: there is no `=`, or a value is not YAML.
+    """
+    path, separator, text = option.partition("=")
+    if not separator or not path or not text:
+        raise ToolkitError(f"--set takes path.to.key=value[,value], got '{option}'")
+    try:
+        return path, [yaml.safe_load(value) for value in text.split(",")]
+    except yaml.YAMLError as error:
+        raise ToolkitError(f"--set {path}: '{text}' is not a list of YAML values") from error
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ToolkitError(f"experiment '{path}' cannot be read: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise ToolkitError(f"experiment '{path}'{line}: {problem}") from error
+    if not isinstance(data, dict):
+        raise ToolkitError(f"experiment '{path}' must be a mapping with name, dataset and pipeline")
+    return data
+
+
+def _drop_sweep(data: dict[str, Any]) -> None:
+    """Set every swept path to its first value."""
+    swept = data.pop("sweep", None)
+    for path, values in (swept if isinstance(swept, dict) else {}).items():
+        if isinstance(values, list) and values:
+            _assign(data, path, values[0])
+
+
+def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
+    """Apply a command-line choice: it replaces what the file set or swept at that path."""
+    data.setdefault("sweep", {}).pop(path, None)
+    if len(values) == 1:
+        _assign(data, path, values[0])
+    else:
+        data["sweep"][path] = values
+
+
+def _assign(data: dict[str, Any], path: str, value: Any) -> None:
+    """Set a dotted path. Naming another implementation drops the former one's settings."""
+    *parents, last = path.split(".")
+    node: Any = data
+    for depth, key in enumerate(parents):
+        child = node.get(key)
+        if isinstance(child, str) and key in _ALL_SLOTS:
+            child = node[key] = {"name": child}
+        if not isinstance(child, dict):
+            where = ".".join(parents[: depth + 1])
+            raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
+        node = child
+    same = isinstance(node.get(last), dict) and node[last].get("name") == value
+    if not (last in _ALL_SLOTS and same):
+        node[last] = value
+
+
+def _short(path: str) -> str:
+    parts = path.removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.").split(".")
+    return parts[0] if parts[1:] == ["name"] else ".".join(parts)
+
+
+def _label(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "+".join(str(item) for item in value.values())
+    return str(value)

@@ -1,0 +1,229 @@
+"""The fused, coloured 3D model of one object instance: what several views together say about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from toolkit.errors import ToolkitError
+from toolkit.perception.database import Database
+from toolkit.perception.plane import fit_planes, table_frame
+from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
+
+_VOXEL_M = 0.002
+_DEPTH_STEP_M = 0.01
+"""Neighbouring pixels further apart in depth than this see two surfaces, and the pixels between mix them."""
+
+_CONTACT_M = 0.003
+_LEVEL, _MOST_RIM = 0.9, 0.2
+"""Points this low and beside the object whose normal is this upright are the table; a larger share is a flat object."""
+
+_NEIGHBOURS = 6
+_LONELY_M = 0.008
+"""A point whose 6th neighbour is further away than this is an outlier."""
+
+MIN_POINTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """What one frame saw of the object.
+
+    Attributes:
+        rgb: (H, W, 3) uint8, the whole frame.
+        mask: (H, W) bool, the object in it.
+        pixels: (M, 2) int32 (x, y) of its reliable pixels.
+        points: (M, 3) float32 world points of those pixels, metres.
+        observation: (3,) unit vector from the object to the camera (Eq. obs_pose).
+    """
+
+    rgb: Image
+    mask: Mask
+    pixels: np.ndarray
+    points: Float
+    observation: Float
+
+
+@dataclass(frozen=True, eq=False)
+class FusedModel:
+    """An object as all current frames together show it, in the world of the current scene.
+
+    Attributes:
+        points: (N, 3) float32, metres; one a voxel.
+        colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
+        seen_by: (N, V) bool, which of the patches saw the voxel.
+        patches: V, one a frame that saw the object.
+    """
+
+    points: Float
+    colors: Float
+    seen_by: Mask
+    patches: tuple[Patch, ...]
+
+    @property
+    def center(self) -> Float:
+        """(3,) float64 middle of the points' axis-aligned box."""
+        return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2, np.float64)
+
+    @cached_property
+    def normals(self) -> Float:
+        """(N, 3) float32 unit normals, towards the cameras that saw the point."""
+        return self.normals_at(np.arange(len(self.points)))
+
+    def normals_at(self, rows: np.ndarray) -> Float:
+        """(len(rows), 3) float32 unit normals of some of the points: where their neighbourhood spreads least."""
+        views = np.array([patch.observation for patch in self.patches], np.float32)
+        outward = self.seen_by[rows].astype(np.float32) @ views
+        if len(self.points) <= _NEIGHBOURS or not len(rows):
+            return outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+        _, near = KDTree(self.points).query(self.points[rows], min(2 * _NEIGHBOURS, len(self.points)))
+        around = self.points[near]
+        around = around - around.mean(axis=1, keepdims=True)
+        normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][..., 0]
+        facing = (normals * outward).sum(axis=1, keepdims=True)
+        return np.where(facing < 0, -normals, normals).astype(np.float32)
+
+
+def fuse(database: Database, instance: int) -> FusedModel | Failure:
+    """Join the regions of one instance: depth edges, outliers and the table dropped, duplicates merged on a voxel grid.
+
+    Returns:
+        The model, or a Failure where fewer than MIN_POINTS voxels are left.
+    """
+    patches = tuple(_patch(database.frame_of(row), database.regions[row]) for row in database.instance(instance))
+    points = np.concatenate([patch.points for patch in patches])
+    if len(points) < MIN_POINTS:
+        return Failure("refiner", f"instance {instance} has only {len(points)} reliable points")
+    colors = np.concatenate([patch.rgb[patch.pixels[:, 1], patch.pixels[:, 0]] for patch in patches])
+    views = np.repeat(np.arange(len(patches)), [len(patch.points) for patch in patches])
+    keys = np.floor((points - points.min(axis=0)) / _VOXEL_M).astype(np.int64)
+    flat = (keys * [1, 1 << 20, 1 << 40]).sum(axis=1)
+    _, inverse, counts = np.unique(flat, return_inverse=True, return_counts=True)
+    merged = _means(points, inverse, counts)
+    tints = _means(colors, inverse, counts)
+    seen_by = np.zeros((len(counts), len(patches)), bool)
+    seen_by[inverse, views] = True
+    kept = _not_lonely(merged)
+    if kept.sum() < MIN_POINTS:
+        return Failure("refiner", f"instance {instance} has only {int(kept.sum())} points that are no outliers")
+    return _off_the_table(FusedModel(merged[kept], tints[kept], seen_by[kept], patches))
+
+
+class Models:
+    """The fused models of a database, made when first asked for."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._known: dict[int, FusedModel | Failure] = {}
+
+    def get(self, instance: int) -> FusedModel | Failure:
+        """The model of one instance, or why there is none."""
+        if instance not in self._known:
+            self._known[instance] = fuse(self._database, instance)
+        return self._known[instance]
+
+    def table_height(self, xy: Float) -> float | None:
+        """World z of the table at (2,) world x and y, metres; None where the depth of no frame shows one."""
+        if self._table is None:
+            return None
+        up, on_table = self._table[:3, 2], self._table[:3, 3]
+        return float(on_table[2] - up[:2] @ (xy - on_table[:2]) / up[2])
+
+    @cached_property
+    def _table(self) -> Float | None:
+        frames = self._database.frames
+        try:
+            return table_frame(frames, fit_planes(frames))
+        except ToolkitError:
+            return None
+
+    def all(self) -> list[FusedModel]:
+        """The models of all instances that have one."""
+        found = (self.get(int(instance)) for instance in np.unique(self._database.instances))
+        return [model for model in found if isinstance(model, FusedModel)]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A motion found by another route.
+
+    Attributes:
+        T_goal_current: (4, 4) in world coordinates, metres.
+        covariance: (6, 6) of (turn, shift of `center`), rad^2 and m^2, or None where that is not known.
+        center: (3,) point of the current world that the covariance is about.
+    """
+
+    T_goal_current: Float
+    covariance: Float | None = None
+    center: Float = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class RefineTask:
+    """One goal object and the instance it is taken for.
+
+    Attributes:
+        goal: the goal image.
+        segment: the object in it.
+        others: the other objects in it, which may hide parts of this one.
+        instance: the database instance.
+        models: where its fused model is to be had, if it is needed.
+        starts: motions found by other routes, best first.
+    """
+
+    goal: Frame
+    segment: Segment
+    others: tuple[Segment, ...]
+    instance: int
+    models: Models
+    starts: tuple[Start, ...] = ()
+
+
+def _patch(frame: Frame, region: Region) -> Patch:
+    assert frame.depth is not None
+    kernel = np.ones((3, 3), np.uint8)
+    depth = frame.depth
+    step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
+    inner = cv2.erode(region.segment.mask.astype(np.uint8), kernel) > 0
+    good = (inner & (step < _DEPTH_STEP_M) & (depth > 0))[region.pixels[:, 1], region.pixels[:, 0]]
+    if good.sum() < MIN_POINTS:
+        # Thin things have no inside.
+        good = np.ones(len(region.pixels), bool)
+    return Patch(
+        frame.rgb, region.segment.mask, region.pixels[good], region.points[good].astype(np.float32), region.observation
+    )
+
+
+def _off_the_table(model: FusedModel) -> FusedModel:
+    """Without the rim of table that masks bleed onto: level points as low as any, beside all that is higher."""
+    xy, height = model.points[:, :2], model.points[:, 2] - model.points[:, 2].min()
+    low = np.flatnonzero(height < _CONTACT_M)
+    if not 0 < len(low) < len(height) - MIN_POINTS:
+        return model
+    try:
+        sides = ConvexHull(xy[height >= _CONTACT_M]).equations
+    except QhullError:
+        return model
+    beside = low[(xy[low] @ sides[:, :2].T + sides[:, 2] > 0).any(axis=1)]
+    rim = beside[model.normals_at(beside)[:, 2] > _LEVEL]
+    if not 0 < len(rim) <= _MOST_RIM * len(height):
+        return model
+    kept = np.ones(len(height), bool)
+    kept[rim] = False
+    return FusedModel(model.points[kept], model.colors[kept], model.seen_by[kept], model.patches)
+
+
+def _means(values: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> Float:
+    sums = np.stack([np.bincount(groups, column, len(counts)) for column in values.T], axis=1)
+    return (sums / counts[:, None]).astype(np.float32)
+
+
+def _not_lonely(points: Float) -> Mask:
+    if len(points) <= _NEIGHBOURS:
+        return np.ones(len(points), bool)
+    distances, _ = KDTree(points).query(points, _NEIGHBOURS + 1)
+    return np.asarray(distances[:, -1] < _LONELY_M)

@@ -1,0 +1,1 @@
+"""Hypotheses, consensus and least squares: what the PnP solvers are made of."""

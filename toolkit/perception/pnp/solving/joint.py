@@ -1,0 +1,150 @@
+"""Robust weighted least squares on all correspondences of an instance at once, freely or on the table (JAX).
+
+The unknown is the motion in the goal's world, q = R (p - o) + t with o the points' mean, so that the planar prior holds
+three of six parameters fixed. Hypotheses under the prior come from two points each: with the turn about the vertical
+written as (cos, sin), every pixel gives two equations that are linear in (cos, sin, x, y).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from toolkit.perception.jax_geometry import rotation_exp
+
+_OPTIMISED = 8
+"""Best hypotheses that are refined: a minimal sample's pose ranks only roughly under noise."""
+
+_WIDE, _STEPS = 3.0, 8
+"""Refinement first weights errors at `_WIDE` times the scale, so that an inexact start collects its inliers."""
+
+_POLISH_STEPS = 15
+
+
+class Evidence(NamedTuple):
+    """Padded correspondences and the camera that sees the moved points.
+
+    Attributes:
+        points: (B, 3) world, less their mean, metres.
+        rays: (B, 2) image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
+        weights: (B,) 0..1, 0 for padding.
+        focal: (2,) fx and fy, pixels.
+        R: (3, 3) and
+        t: (3,) goal world to camera.
+        scale: (), pixels: errors of this size count half.
+    """
+
+    points: Array
+    rays: Array
+    weights: Array
+    focal: Array
+    R: Array
+    t: Array
+    scale: Array
+
+
+class Motion(NamedTuple):
+    """Rotation (..., 3, 3) and the place (..., 3) of the points' mean after it, world, metres."""
+
+    R: Array
+    t: Array
+
+
+@jax.jit
+def search_planar(evidence: Evidence, samples: Array, height: Array) -> Motion:
+    """The best motion on the table of (H, 2) int32 samples; `height` () is that of the points' mean, metres."""
+    motions = jax.vmap(lambda rows: _from_two_points(evidence, rows, height))(samples)
+    costs = jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(motions)
+    _, best = jax.lax.top_k(-jnp.nan_to_num(costs, nan=jnp.inf), _OPTIMISED)
+    free = jnp.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
+    scales = evidence.scale * jnp.repeat(jnp.array([_WIDE, 1.0]), _STEPS)
+    refined = jax.vmap(lambda motion: _refine(evidence, motion, free, scales))(Motion(motions.R[best], motions.t[best]))
+    winner = jnp.argmin(jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(refined))
+    return jax.tree.map(lambda part: part[winner], refined)
+
+
+@jax.jit
+def polish(evidence: Evidence, start: Motion, free: Array) -> Motion:
+    """Take a motion to the nearest minimum of the robust cost; (6,) `free`: 1 for what of (turn, shift) may change."""
+    return _refine(evidence, start, free, jnp.full(_POLISH_STEPS, evidence.scale))
+
+
+@jax.jit
+def covariance(evidence: Evidence, motion: Motion, free: Array) -> Array:
+    """(6, 6) covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
+    H, _ = _equations(evidence, motion, evidence.scale, free)
+    squared, robust = _squared(evidence, motion), _robust(evidence, motion, evidence.scale)
+    freedom = jnp.maximum(2 * robust.sum() - free.sum(), 1.0)
+    variance = (robust * squared).sum() / freedom
+    held = jnp.diag(1 - free)
+    return variance * jnp.linalg.inv(H + held) * jnp.outer(free, free)
+
+
+def _from_two_points(evidence: Evidence, rows: Array, height: Array) -> Motion:
+    points, rays = evidence.points[rows], evidence.rays[rows]
+    # a . q + d = 0 for every pixel coordinate.
+    a = (evidence.R[:2] - rays[..., None] * evidence.R[2]).reshape(4, 3)
+    d = (evidence.t[:2] - rays * evidence.t[2]).reshape(4)
+    x, y, z = jnp.repeat(points, 2, axis=0).T
+    A = jnp.stack([a[:, 0] * x + a[:, 1] * y, a[:, 1] * x - a[:, 0] * y, a[:, 0], a[:, 1]], axis=1)
+    cos, sin, tx, ty = jnp.linalg.solve(A + 1e-12 * jnp.eye(4), -(a[:, 2] * (z + height) + d))
+    length = jnp.hypot(cos, sin)
+    cos, sin = cos / length, sin / length
+    return Motion(jnp.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]), jnp.stack([tx, ty, height]))
+
+
+def _seen(evidence: Evidence, motion: Motion) -> tuple[Array, Array, Array]:
+    """Of all points: (B, 3) turned, (B, 3) in the camera, (B, 2) errors in pixels."""
+    turned = evidence.points @ motion.R.T
+    camera = (turned + motion.t) @ evidence.R.T + evidence.t
+    return turned, camera, (camera[:, :2] / camera[:, 2:] - evidence.rays) * evidence.focal
+
+
+def _squared(evidence: Evidence, motion: Motion) -> Array:
+    """(B,) squared errors in pixels, huge behind the camera."""
+    _, camera, errors = _seen(evidence, motion)
+    return jnp.where(camera[:, 2] > 0, (errors**2).sum(axis=1), 1e12)
+
+
+def _robust(evidence: Evidence, motion: Motion, scale: Array) -> Array:
+    """(B,) Geman-McClure weights times the correspondences' own."""
+    return evidence.weights / (1 + _squared(evidence, motion) / scale**2) ** 2
+
+
+def _cost(evidence: Evidence, motion: Motion, scale: Array) -> Array:
+    """() Geman-McClure cost."""
+    squared = _squared(evidence, motion)
+    return (evidence.weights * squared / (squared + scale**2)).sum()
+
+
+def _equations(evidence: Evidence, motion: Motion, scale: Array, free: Array) -> tuple[Array, Array]:
+    """(6, 6) Gauss-Newton matrix and (6,) gradient."""
+    turned, camera, errors = _seen(evidence, motion)
+    z = jnp.maximum(camera[:, 2:], 1e-6)
+    flat = camera[:, :2] / z
+    by_camera = jnp.concatenate([jnp.broadcast_to(jnp.eye(2), (len(z), 2, 2)), -flat[..., None]], axis=2)
+    by_world = by_camera * (evidence.focal[:, None] / z[..., None]) @ evidence.R
+    by_turn = jnp.cross(turned[:, None], by_world)
+    J = jnp.concatenate([by_turn, by_world], axis=2) * free
+    weight = _robust(evidence, motion, scale)
+    return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, errors)
+
+
+def _refine(evidence: Evidence, motion: Motion, free: Array, scales: Array) -> Motion:
+    """Levenberg-Marquardt with iteratively reweighted residuals; (S,) scales, one a step."""
+
+    def step(state: tuple[Motion, Array], scale: Array) -> tuple[tuple[Motion, Array], None]:
+        motion, damping = state
+        H, gradient = _equations(evidence, motion, scale, free)
+        # The tiny constant keeps the system solvable where no point counts.
+        damped = H + jnp.diag(damping * jnp.diagonal(H) + 1e-9 + (1 - free))
+        delta = -jnp.linalg.solve(damped, gradient)
+        trial = Motion(rotation_exp(delta[:3]) @ motion.R, motion.t + delta[3:])
+        better = _cost(evidence, trial, scale) < _cost(evidence, motion, scale)
+        motion = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, motion)
+        return (motion, damping * jnp.where(better, 0.1, 10.0)), None
+
+    return jax.lax.scan(step, (motion, jnp.array(1e-4)), scales)[0][0]

@@ -1,0 +1,1 @@
+"""A fused model, rendered and compared with the goal image."""

@@ -1,0 +1,154 @@
+"""Hypotheses all around, rendered, compared and refined: the road past sparse matches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.perception.fusion import Models, RefineTask, Start
+from toolkit.perception.lighting import estimate_light
+from toolkit.perception.refiners.comparing.cloud import Cloud
+from toolkit.perception.refiners.comparing.combine import combine
+from toolkit.perception.refiners.comparing.compare import FREE, PLANAR, Search, best_agreement, compare
+from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
+from toolkit.perception.refiners.comparing.rotations import resting_rotations, yaw_rotations
+from toolkit.perception.refiners.comparing.verdict import Verdict, judge
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Abstention, Failure, Float, Refined
+
+
+class RefinerConfig(PluginConfig):
+    """Settings of the refiners that compare images."""
+
+    prior: Literal["planar", "resting", "none"] = Field(
+        "planar",
+        description="Objects turn about the vertical and slide on the table, rest on it on any side, or move freely.",
+    )
+    patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
+    iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
+    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers of less confidence are withheld.")
+    min_pixels: int = Field(30, ge=1, description="An object of which the goal shows fewer pixels is not judged.")
+    same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
+
+
+class RenderCompareConfig(RefinerConfig):
+    """Settings of `render_compare`."""
+
+    yaws: int = Field(72, ge=4, description="Turns about the vertical that are tried.")
+    rests: int = Field(
+        26,
+        ge=1,
+        description="Sides put up without the planar prior, stable ones first, in a third of the yaws each.",
+    )
+    kept: int = Field(10, ge=2, description="Best hypotheses that are refined, starts included.")
+    use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
+
+
+@dataclass
+class _Scene:
+    """What is kept of a scene while its models live; nothing in it may refer to those, or they would live for ever."""
+
+    light: Float
+    clouds: dict[int, tuple[Cloud, Search]] = field(default_factory=dict[int, tuple[Cloud, Search]])
+
+
+class ImageRefiner(Plugin):
+    """Base of the refiners: fused model against goal image. A subclass says which hypotheses there are."""
+
+    stage = "refiner"
+    config: RefinerConfig
+
+    def __init__(self, config: PluginConfig | None = None) -> None:
+        super().__init__(config)
+        self._scenes: WeakKeyDictionary[Models, _Scene] = WeakKeyDictionary()
+
+    def search(self, cloud: Cloud) -> Search:
+        """How hypotheses for an object are made."""
+        raise NotImplementedError
+
+    def starts(self, task: RefineTask) -> tuple[Start, ...]:
+        """Motions of other routes that compete."""
+        return task.starts
+
+    def refine(self, task: RefineTask) -> Refined | Failure:
+        """Return the hypothesis that agrees best with the goal image; see Refiner."""
+        seen = int(task.segment.mask.sum())
+        if seen < self.config.min_pixels:
+            return Abstention(
+                "refiner", f"{seen} pixels of the object are in view, at least {self.config.min_pixels} decide"
+            )
+        prepared = self._prepared(task)
+        if isinstance(prepared, Failure):
+            return prepared
+        (cloud, search), starts = prepared, self.starts(task)
+        if not starts and not len(search.rotations):
+            return Failure("refiner", "there is no motion to refine")
+        goal = view_goal(task.goal, task.segment, task.others)
+        found = compare(cloud, goal, [start.T_goal_current for start in starts], search)
+        if not found:
+            return Failure("refiner", "no hypothesis stayed finite")
+        return self._answer(judge(found, cloud.model, starts, self.config.same_score), cloud.center, search.free)
+
+    def verify(self, task: RefineTask) -> float | None:
+        """See Refiner."""
+        prepared = self._prepared(task)
+        if isinstance(prepared, Failure):
+            return None
+        cloud, search = prepared
+        return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), search)
+
+    def _prepared(self, task: RefineTask) -> tuple[Cloud, Search] | Failure:
+        """The instance's cloud and the hypotheses for it, made once a scene."""
+        model = task.models.get(task.instance)
+        if isinstance(model, Failure):
+            return model
+        if task.models not in self._scenes:
+            self._scenes[task.models] = _Scene(estimate_light(task.models.all()))
+        scene = self._scenes[task.models]
+        if task.instance not in scene.clouds:
+            table = None if self.config.prior == "planar" else task.models.table_height(model.center[:2])
+            cloud = Cloud(model, LEVELS_PX, scene.light, table)
+            scene.clouds[task.instance] = cloud, self.search(cloud)
+        return scene.clouds[task.instance]
+
+    def _answer(self, verdict: Verdict, center: Float, free: Float) -> Refined | Failure:
+        sure, least = verdict.confidence, self.config.abstain_below
+        if sure < least:
+            return Abstention("refiner", f"confidence {sure:.2f} is below {least:g}")
+        motion, covariance = verdict.best.T_goal_current, _covariance(verdict.best.information, free)
+        exact = next((start for start in verdict.supporters if start.covariance is not None), None)
+        if exact is not None:
+            motion, covariance = combine(motion, covariance, center, exact, free)
+        others = [h.T_goal_current for h in verdict.equivalents[1:]]
+        return Refined(motion, sure, np.stack([motion, *others]), verdict.ambiguity, covariance)
+
+
+def _covariance(information: Float, free: Float) -> Float:
+    rows = np.flatnonzero(free)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(rows, rows)] = np.linalg.pinv(information[np.ix_(rows, rows)], hermitian=True)
+    return covariance
+
+
+class RenderCompare(ImageRefiner):
+    """Renders the fused model in every yaw (or rotation), refines the best, and verifies them with PnP's answer."""
+
+    name = "render_compare"
+    Config = RenderCompareConfig
+    config: RenderCompareConfig  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def search(self, cloud: Cloud) -> Search:
+        """See ImageRefiner."""
+        c = self.config
+        if c.prior == "planar":
+            return Search(yaw_rotations(c.yaws), PLANAR, False, c.kept, c.patches, c.iterations)
+        rotations = resting_rotations(cloud.points, c.rests, max(c.yaws // 3, 1))
+        return Search(rotations, FREE, c.prior == "resting", c.kept, c.patches, c.iterations)
+
+    def starts(self, task: RefineTask) -> tuple[Start, ...]:
+        """See ImageRefiner."""
+        return task.starts[: self.config.kept - 1] if self.config.use_starts else ()

@@ -1,0 +1,71 @@
+"""Objects in a colour image as what differs from the empty table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from toolkit.perception.segmenters.tabletop.blobs import find_blobs
+from toolkit.perception.segmenters.tabletop.difference import difference
+from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.segmenters.tabletop.table_map import TableScan, render_table, scan_table
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Frame, Segment
+
+
+class TableAppearanceConfig(PluginConfig):
+    """Settings of the `table_appearance` segmenter."""
+
+    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
+    min_pixels: int = Field(60, ge=1, description="Smaller blobs are dropped.")
+    split: bool = Field(True, description="Split touching objects while there are fewer than the current frames show.")
+
+
+class TableAppearanceSegmenter(Plugin):
+    """What differs from the table's look, learnt from the current frames, where depth says what is table (RGB only).
+
+    The empty table is drawn in the image's camera, compared after a photometric fit, and the borders of what differs
+    are refined by GrabCut. Touching objects are split while there are fewer than the current frames
+    show and two of those explain a blob's colours better than one.
+    Segments come in row-major order of their first pixel.
+    """
+
+    stage = "segmenter"
+    name = "table_appearance"
+    Config = TableAppearanceConfig
+    config: TableAppearanceConfig
+
+    def __init__(self, config: PluginConfig | None = None) -> None:
+        super().__init__(config)
+        self._table = TableMemory()
+
+    def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
+        """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""
+        settings = self.config
+        scan = self._table.scan(tuple(current))
+        labels = blob_labels(frame, scan, settings.threshold, settings.min_pixels)
+        if settings.split:
+            labels = split_touching(frame.rgb, labels, scan.looks, settings.min_pixels)
+        return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
+
+
+class TableMemory:
+    """The table of the last scene, kept for its next image."""
+
+    def __init__(self) -> None:
+        self._last: tuple[tuple[Frame, ...], TableScan] | None = None
+
+    def scan(self, current: tuple[Frame, ...]) -> TableScan:
+        """The table of these very frames; raises ToolkitError where none shows one."""
+        if self._last is None or self._last[0] != current:
+            self._last = (current, scan_table(current))
+        return self._last[1]
+
+
+def blob_labels(frame: Frame, scan: TableScan, threshold: float, min_pixels: int) -> NDArray[np.int32]:
+    """(H, W) int32 labels of what differs from the table's look; arguments as `find_blobs`."""
+    view = render_table(scan, frame.camera)
+    return find_blobs(frame.rgb, difference(frame.rgb, view), view, threshold, min_pixels)

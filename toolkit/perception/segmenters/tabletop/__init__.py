@@ -1,0 +1,1 @@
+"""What stands on a table, seen in depth and in colour."""

@@ -1,0 +1,100 @@
+"""How much an image differs from the empty table, beyond light, noise and small misregistration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.perception.segmenters.tabletop.light import relit
+from toolkit.perception.segmenters.tabletop.table_map import TableView
+from toolkit.types import Float, Image, Mask
+
+_LOG_OFFSET = 8.0
+"""Grey levels added before the logarithm, so that noise in dark pixels counts no more than elsewhere."""
+
+_LEAST_SIGMA = 0.012
+_SPREAD = 3.0
+_LEAST_SPREAD = 0.06
+_POSSIBLY_RELIT = 0.5
+"""What is left of the score where the table may only be in shadow."""
+
+
+def difference(rgb: Image, view: TableView) -> Float:
+    """Score every pixel by how far its colour lies outside what the table could show there.
+
+    Logarithms of colours are compared, so that light is a sum; it is fitted as a quadratic over the image. The table
+    may show any colour that its map has within one pixel. Where no frame saw the table, it may show any of its common
+    colours; beyond the table, any common colour of the background.
+
+    Args:
+        rgb: (H, W, 3) the image.
+        view: the empty table in the same camera.
+
+    Returns:
+        (H, W) float32 in deviations of the table's own residual; 0 where no object can be.
+    """
+    image = _log(rgb)
+    table = _log(view.rgb)
+    table += _light(image - table, view.seen)
+    sigma = _deviation((image - table)[view.seen]) if view.seen.any() else np.full(3, _LEAST_SIGMA, np.float32)
+    kernel = np.ones((3, 3), np.uint8)
+    low, high = _float(cv2.erode(table, kernel)), _float(cv2.dilate(table, kernel))
+    near_unseen = cv2.dilate((~view.seen).astype(np.uint8), kernel) > 0
+    _fill_range(low, high, near_unseen & view.table, table[view.seen])
+    beyond = ~view.table
+    _fill_range(low, high, beyond, image[beyond])
+    excess = np.maximum(image - high, 0) - np.maximum(low - image, 0)
+    score = np.linalg.norm(excess / sigma, axis=2)
+    possible, certain = relit(image - table, table, view.seen, float(sigma.mean()))
+    score[possible] *= _POSSIBLY_RELIT
+    score[certain | ~view.reach] = 0
+    return score.astype(np.float32)
+
+
+def _log(rgb: Image) -> Float:
+    smooth = cv2.GaussianBlur(rgb, (3, 3), 0)
+    return np.log(smooth.astype(np.float32) + _LOG_OFFSET)
+
+
+def _float(image: NDArray[Any]) -> Float:
+    return np.asarray(image, np.float32)
+
+
+def _light(residual: Float, where: Mask) -> Float:
+    """(H, W, 3) robust quadratic fit of a residual image over the pixels `where`."""
+    height, width = where.shape
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)
+    rows, columns = np.nonzero(where[::6, ::6])
+    if len(rows) < 100:
+        return np.zeros_like(residual)
+    A, b = terms[::6, ::6][rows, columns], residual[::6, ::6][rows, columns]
+    center = np.median(b, axis=0)
+    off = np.abs(b - center).max(axis=1)
+    inliers = off <= np.percentile(off, 70)
+    solution = np.zeros((6, 3), np.float32)
+    for _ in range(5):
+        solution = np.linalg.lstsq(A[inliers], b[inliers], rcond=None)[0]
+        off = np.abs(b - A @ solution).max(axis=1)
+        inliers = off <= max(3 * 1.4826 * float(np.median(off)), 0.01)
+    return (terms @ solution).astype(np.float32)
+
+
+def _deviation(residual: Float) -> Float:
+    """(3,) robust deviation of (N, 3) residuals."""
+    return np.maximum(1.4826 * np.median(np.abs(residual), axis=0), _LEAST_SIGMA).astype(np.float32)
+
+
+def _fill_range(low: Float, high: Float, where: Mask, samples: Float) -> None:
+    """Set the allowed range of the pixels `where` to the spread of (N, 3) samples; to everything without samples."""
+    if len(samples) < 100:
+        low[where], high[where] = -np.inf, np.inf
+        return
+    some = samples[:: max(len(samples) // 5000, 1)]
+    # Objects are among the samples, so the spread must not listen to outliers.
+    middle = np.median(some, axis=0)
+    spread = _SPREAD * 1.4826 * np.median(np.abs(some - middle), axis=0) + _LEAST_SPREAD
+    low[where], high[where] = middle - spread, middle + spread

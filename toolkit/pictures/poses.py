@@ -1,0 +1,120 @@
+"""Pose estimates of one capture as poses.json, with the goal masks and pictures beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from toolkit.errors import ToolkitError
+from toolkit.files import write_json
+from toolkit.geometry import invert, project
+from toolkit.perception.database import Database
+from toolkit.pictures.drawing import correspondences, overlay
+from toolkit.results.metrics import assign_goal_objects
+from toolkit.results.rows import Row
+from toolkit.types import Capture, Float, PoseEstimate
+
+POSES_SCHEMA = 1
+
+
+def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> Path:
+    """Write OUT/poses.json (DESIGN 6), the goal masks, and the pictures beside it. Returns the path of poses.json."""
+    masks = out / "masks"
+    masks.mkdir(parents=True, exist_ok=True)
+    objects: list[dict[str, Any]] = []
+    for estimate in estimates:
+        name = f"masks/{estimate.goal_object:06d}.png"
+        _write_png(out / name, estimate.segment.mask.astype(np.uint8) * 255)
+        failure, motion = estimate.failure, estimate.T_goal_current
+        objects.append(
+            {
+                "goal_object": estimate.goal_object,
+                "bbox_xyxy": list(estimate.segment.bbox_xyxy),
+                "mask": name,
+                "instance": estimate.instance,
+                "status": estimate.status,
+                "T_goal_current": None if motion is None else motion.tolist(),
+                "confidence": estimate.confidence,
+                "ambiguity": estimate.ambiguity,
+                "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
+                "equivalents": None if estimate.equivalents is None else estimate.equivalents.tolist(),
+                "stage": failure.stage if failure else None,
+                "reason": failure.reason if failure else None,
+                "time_ms": {stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
+            }
+        )
+    path = out / "poses.json"
+    write_json(path, {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects})
+    write_pictures(out, capture, database, estimates)
+    return path
+
+
+_OUTLINE = (40, 200, 90)
+
+
+def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:
+    """Write OUT/overlay.png, and OUT/matches_<object>.png for every object that has correspondences."""
+    _write_png(out / "overlay.png", overlay_picture(capture, database, estimates))
+    for estimate in estimates:
+        picture = matches_picture(capture, database, estimate)
+        if picture is not None:
+            _write_png(out / f"matches_{estimate.goal_object:06d}.png", picture)
+
+
+def overlay_picture(capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> np.ndarray:
+    """The goal image (H, W, 3 uint8) with the outline of every estimated object where its motion puts it."""
+    outlines: list[tuple[str, Float, tuple[int, int, int]]] = []
+    for estimate in estimates:
+        if estimate.T_goal_current is None or estimate.instance is None:
+            continue
+        points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
+        outlines.append((str(estimate.goal_object), estimate.move(points), _OUTLINE))
+    return overlay(capture.goal, outlines)
+
+
+def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:
+    """The correspondences of one object, goal beside current frames (uint8 RGB); None when there are none."""
+    problem = estimate.correspondences
+    if problem is None or not len(problem):
+        return None
+    rows = np.repeat([row for row, _ in estimate.candidates], [count for _, count in estimate.candidates])
+    frame_of = np.array([database.regions[row].frame_index for row in rows])
+    frames = {frame.index: frame for frame in database.frames}
+    xy = np.zeros((len(problem), 2))
+    for index in np.unique(frame_of):
+        camera = frames[int(index)].camera
+        seen = frame_of == index
+        xy[seen] = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
+    inliers = np.zeros(len(problem), bool) if estimate.inliers is None else estimate.inliers
+    images = {index: frames[index].rgb for index in map(int, np.unique(frame_of))}
+    return correspondences(capture.goal.rgb, problem.pixels, images, frame_of, xy, inliers)
+
+
+def write_case(folder: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
+    """Write one object of a scored capture as FOLDER/<scene>_<object>.png, with its caption as .txt beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks or {})
+    estimate = estimates[answers[row.object]] if row.object in answers else None
+    picture = overlay_picture(capture, database, [e for e in estimates if e is estimate])
+    matches = None if estimate is None else matches_picture(capture, database, estimate)
+    if matches is not None:
+        picture = np.hstack([picture, matches])
+    name = f"{row.scene_id:06d}_{row.object:06d}"
+    _write_png(folder / f"{name}.png", picture)
+    if row.rotation_error_deg_sym is None:
+        outcome = f"{row.status}, {row.stage}: {row.reason}"
+    else:
+        outcome = f"{row.rotation_error_deg_sym:.1f} deg, {row.translation_error_cm_sym:.1f} cm off"
+    (folder / f"{name}.txt").write_text(f"Scene {row.scene_id}, {row.object_name}: {outcome} ({row.cell})")
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    encoded = image if image.ndim == 2 else image[..., ::-1]
+    ok, data = cv2.imencode(".png", encoded)
+    if not ok:
+        raise ToolkitError(f"picture '{path}' cannot be encoded")
+    path.write_bytes(data.tobytes())

@@ -1,0 +1,1 @@
+"""For people who write implementations: templates, checks, and the pytest plugin."""

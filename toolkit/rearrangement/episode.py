@@ -1,0 +1,190 @@
+"""One rearrangement: perceive, plan, move, and perceive again, until everything stands at its goal (Sec. Method)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.errors import ToolkitError
+from toolkit.geometry import transform_points
+from toolkit.perception.pipeline import Pipeline
+from toolkit.rearrangement.dependencies import lower_bound, screen
+from toolkit.rearrangement.moves import Finished, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.sight import Sight, SightSettings, correct, look
+from toolkit.rearrangement.stages import Executor, Planner
+from toolkit.types import Failure, Float, Frame
+
+_MOST_MOVES = 200
+"""Moves of one round after which it is broken off."""
+
+
+class EpisodeSettings(SightSettings):
+    """What the rearrangement itself decides, besides its stages."""
+
+    rounds: int = Field(
+        4, ge=1, description="Times the scene is perceived and set right; 1 is the paper's one-step setting."
+    )
+    observe: Literal["round", "move"] = Field(
+        "round", description="Perceive anew before every round, or before every move (Algorithm 1, line 7)."
+    )
+
+
+@dataclass
+class Episode:
+    """What happened.
+
+    Attributes:
+        goal: the goal image.
+        sight: the last look at the table; None where nothing could be perceived.
+        failures: by goal object of that look, why it was not brought to its goal.
+        broken: why nothing could be perceived.
+        rounds: rounds in which something was to be moved.
+        states: true (4, 4) poses by instance id after each of these, where the executor knows them.
+        moves: by true instance id, how often an object was picked; id -1 where the executor does not know.
+        buffer_moves: of these, to a free place.
+        moved_for: by goal object, the true instance id of what was last brought to its goal.
+        forced_buffers: moves to a free place that the first look's goals need at least.
+        time_ms: milliseconds of perception and planning, on this machine.
+        motion_s: seconds of motion, on the robot's clock.
+    """
+
+    goal: Frame
+    sight: Sight | None = None
+    failures: dict[int, Failure] = field(default_factory=dict[int, Failure])
+    broken: Failure | None = None
+    rounds: int = 0
+    states: list[Mapping[int, Float]] = field(default_factory=list[Mapping[int, Float]])
+    moves: Counter[int] = field(default_factory=Counter[int])
+    buffer_moves: Counter[int] = field(default_factory=Counter[int])
+    moved_for: dict[int, int | None] = field(default_factory=dict[int, int | None])
+    forced_buffers: int = 0
+    time_ms: dict[str, float] = field(default_factory=lambda: {"perception": 0.0, "planning": 0.0})
+    motion_s: float = 0.0
+
+    @contextmanager
+    def timed(self, what: str) -> Generator[None]:
+        """Add the block's time to `time_ms`."""
+        start = perf_counter()
+        yield
+        self.time_ms[what] += 1e3 * (perf_counter() - start)
+
+
+def rearrange(
+    task: Any, pipeline: Pipeline, planner: Planner, executor: Executor, settings: EpisodeSettings, seed: int
+) -> Episode:
+    """Carry out one rearrangement.
+
+    Args:
+        task: handed to the executor, which must be closed by the caller.
+        pipeline: the perception module.
+        planner: decides the moves.
+        executor: carries them out.
+        settings: how often, and what counts as done.
+        seed: of the planner's choices; the pipeline has its own.
+
+    Raises:
+        ToolkitError: a stage refuses its input.
+    """
+    episode = Episode(executor.begin(task))
+    for number in range(settings.rounds):
+        sight = _perceive(episode, pipeline, executor, settings)
+        if sight is None:
+            break
+        episode.sight, episode.failures = sight, dict(sight.failures)
+        if number == 0:
+            episode.forced_buffers = _forced_buffers(sight.table)
+        if not any(item.wanted for item in sight.table.items):
+            break
+        episode.rounds += 1
+        _carry_out(episode, sight, pipeline, planner, executor, settings, seed + number)
+        state = executor.state()
+        if state is not None:
+            episode.states.append(state)
+    executor.home()
+    return episode
+
+
+def _perceive(episode: Episode, pipeline: Pipeline, executor: Executor, settings: EpisodeSettings) -> Sight | None:
+    """A stage that breaks on a scene fails that scene by name; the run goes on."""
+    executor.home()
+    frames = executor.observe()
+    try:
+        with episode.timed("perception"):
+            return look(pipeline, frames, episode.goal, settings)
+    except ToolkitError:
+        raise
+    except Exception as error:
+        episode.broken = Failure("pipeline", f"{type(error).__name__}: {error}")
+        return None
+
+
+def _forced_buffers(table: Table) -> int:
+    table, _ = screen(table)
+    return lower_bound(table) - sum(item.wanted for item in table.items)
+
+
+def _carry_out(
+    episode: Episode,
+    sight: Sight,
+    pipeline: Pipeline,
+    planner: Planner,
+    executor: Executor,
+    settings: EpisodeSettings,
+    seed: int,
+) -> None:
+    """One round: ask for move after move."""
+    schedule = planner.start(seed)
+    for _ in range(_MOST_MOVES):
+        with episode.timed("planning"):
+            step = schedule.next(sight.table)
+        if isinstance(step, Finished):
+            _note_failures(episode, sight, step)
+            return
+        outcome = executor.pick_place(_request(sight, step))
+        _count(episode, sight, step, outcome)
+        if outcome.failure is None:
+            cloud = transform_points(step.T_place_pick, sight.clouds[step.object])
+            sight.clouds[step.object] = np.asarray(cloud)
+            sight = Sight(sight.table.after(step), sight.clouds, sight.estimates, sight.goal_objects, sight.failures)
+        if settings.observe == "move":
+            seen = _perceive(episode, pipeline, executor, settings)
+            if seen is None:
+                return
+            sight = correct(sight, seen)
+    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.table.items}
+    _note_failures(episode, sight, Finished(unfinished))
+
+
+def _request(sight: Sight, move: Move) -> PickPlace:
+    others: list[Float] = [cloud for instance, cloud in sight.clouds.items() if instance != move.object]
+    return PickPlace(sight.clouds[move.object], move.T_place_pick, np.concatenate([np.zeros((0, 3)), *others]))
+
+
+def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None:
+    true_id = -1 if outcome.object is None else outcome.object
+    episode.moves[true_id] += 1
+    episode.buffer_moves[true_id] += move.to == "buffer"
+    episode.motion_s += outcome.seconds
+    goal_object = sight.goal_objects.get(move.object)
+    if goal_object is None:
+        return
+    if outcome.failure is not None:
+        episode.failures[goal_object] = outcome.failure
+    elif move.to == "goal":
+        episode.failures.pop(goal_object, None)
+        episode.moved_for[goal_object] = outcome.object
+
+
+def _note_failures(episode: Episode, sight: Sight, finished: Finished) -> None:
+    """Keep what an executor said of an object; it is nearer to the cause."""
+    for instance, failure in finished.failures.items():
+        goal_object = sight.goal_objects.get(instance)
+        if goal_object is not None:
+            episode.failures.setdefault(goal_object, failure)

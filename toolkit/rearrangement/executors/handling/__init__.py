@@ -1,0 +1,1 @@
+"""What an arm does with an object in its hand."""

@@ -1,0 +1,160 @@
+"""Recordings of an executor, and the executor that plays one back: tests and debugging without a robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.data.bop import load_capture, write_capture
+from toolkit.errors import ToolkitError
+from toolkit.files import write_json
+from toolkit.geometry import transform_points
+from toolkit.rearrangement.moves import Outcome, PickPlace
+from toolkit.rearrangement.stages import Executor
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Failure, Float, Frame, TrueObject
+
+_LOG = "moves.json"
+
+
+class Recorder:
+    """An executor that hands everything on to another and writes down what comes back.
+
+    FOLDER/000000/, FOLDER/000001/, ... are captures, one an observation; moves.json lists what was asked and what
+    became of it.
+
+    Args:
+        executor: does the work.
+        folder: made when absent.
+        truth: true objects by instance id at the start, where known; with it the captures hold masks.
+    """
+
+    def __init__(self, executor: Executor, folder: Path, truth: Mapping[int, TrueObject] | None = None) -> None:
+        self._executor = executor
+        self._folder = folder
+        self._truth = truth
+        self._observations = 0
+        self._moves: list[dict[str, Any]] = []
+
+    def begin(self, task: Any) -> Frame:
+        """See Executor."""
+        self._goal = self._executor.begin(task)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        return self._goal
+
+    def observe(self) -> list[Frame]:
+        """See Executor."""
+        frames = self._executor.observe()
+        truth = self._truth
+        state = self._executor.state()
+        if truth is not None and state is not None:
+            truth = {i: TrueObject(o.model, state[i], o.T_world_goal, i) for i, o in truth.items()}
+        write_capture(self._folder / f"{self._observations:06d}", frames, self._goal, truth)
+        self._observations += 1
+        return frames
+
+    def pick_place(self, request: PickPlace) -> Outcome:
+        """See Executor."""
+        outcome = self._executor.pick_place(request)
+        failure = outcome.failure
+        self._moves.append(
+            {
+                "pick": request.points.mean(axis=0).tolist(),
+                "T_place_pick": request.T_place_pick.tolist(),
+                "object": outcome.object,
+                "seconds": outcome.seconds,
+                "stage": failure.stage if failure else None,
+                "reason": failure.reason if failure else None,
+            }
+        )
+        write_json(self._folder / _LOG, self._moves)
+        return outcome
+
+    def home(self) -> None:
+        """See Executor."""
+        self._executor.home()
+
+    def state(self) -> Mapping[int, Float] | None:
+        """See Executor."""
+        return self._executor.state()
+
+    def close(self) -> None:
+        """See Executor."""
+        self._executor.close()
+
+
+class ReplayConfig(PluginConfig):
+    """Settings of `replay`."""
+
+    folder: Path = Field(Path("recording"), description="What a Recorder wrote.")
+    tolerance_m: float = Field(0.005, gt=0, description="A move this near to the recorded one is the same.")
+
+
+class Replay(Plugin):
+    """Plays a recording back: the recorded frames in order, and the recorded outcomes for the recorded moves."""
+
+    stage = "executor"
+    name = "replay"
+    Config = ReplayConfig
+    config: ReplayConfig  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def check_ready(self) -> None:
+        """See Plugin."""
+        if not (self.config.folder / "000000").is_dir():
+            raise ToolkitError(f"'{self.config.folder}' is no recording: it has no observation 000000")
+
+    def begin(self, task: Any) -> Frame:
+        """See Executor; the task is the recorded one, whatever is asked."""
+        self.check_ready()
+        self._captures = sorted(path for path in self.config.folder.iterdir() if path.is_dir())
+        self._moves: list[dict[str, Any]] = _read_moves(self.config.folder / _LOG)
+        self._seen = 0
+        return load_capture(self._captures[0]).goal
+
+    def observe(self) -> list[Frame]:
+        """See Executor.
+
+        Raises:
+            ToolkitError: the recording has no further observation.
+        """
+        if self._seen == len(self._captures):
+            raise ToolkitError(f"'{self.config.folder}' holds {self._seen} observations, one more is asked for")
+        self._seen += 1
+        return list(load_capture(self._captures[self._seen - 1]).current)
+
+    def pick_place(self, request: PickPlace) -> Outcome:
+        """See Executor. A move that was not recorded here is a failure."""
+        if not self._moves:
+            return Outcome(Failure("executor", "the recording has no further move"))
+        move = self._moves.pop(0)
+        pick = np.array(move["pick"])
+        wanted = transform_points(request.T_place_pick, pick)
+        recorded = transform_points(np.array(move["T_place_pick"]), pick)
+        off = max(np.linalg.norm(request.points.mean(axis=0) - pick), np.linalg.norm(wanted - recorded))
+        if off > self.config.tolerance_m:
+            return Outcome(Failure("executor", f"the recorded move lies {100 * off:.1f} cm from the one asked for"))
+        failure = None if move["stage"] is None else Failure(move["stage"], move["reason"])
+        return Outcome(failure, move["object"], move["seconds"])
+
+    def home(self) -> None:
+        """See Executor."""
+
+    def state(self) -> None:
+        """See Executor; a recording knows no truth."""
+
+    def close(self) -> None:
+        """See Executor."""
+
+
+def _read_moves(path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    try:
+        return list(json.loads(path.read_text()))
+    except ValueError as error:
+        raise ToolkitError(f"'{path}' is not valid JSON: {error}") from error

@@ -1,0 +1,1 @@
+"""Gripper, surface and free room: what graspers measure."""

@@ -1,0 +1,121 @@
+"""Grasps on two contacts, and which of them leave room for the gripper: here, where it lets go, and on the ways."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.geometry import make_transform, rotation_angle
+from toolkit.rearrangement.grasps.geometry.gripper import Gripper, lowest, points_in_boxes
+from toolkit.rearrangement.grasps.geometry.surface import thin_out
+from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.registry import PluginConfig
+from toolkit.types import Failure, Float
+
+_SPACING_M = 0.003
+_OTHERS_SPACING_M = 0.005
+_FEWEST_POINTS = 10
+_STRAY_POINTS = 3
+"""Points that may lie inside a finger: noise, and the contact itself."""
+
+_LEVEL = np.sin(np.radians(10))
+"""A closing direction this near to level is made level: that is where a finger finds room above the table."""
+
+_LEVER_M = 0.02
+"""A grasp this far from the object's middle is worth 1 / e of one through it: what hangs to one side turns."""
+
+_ALIKE_M, _ALIKE_RAD = 0.01, np.radians(20)
+"""Where one grasp cannot be reached, one as near to it as this can seldom be."""
+
+
+class RoomConfig(PluginConfig):
+    """What every grasper that checks for room is told."""
+
+    gripper: Gripper = Field(Gripper(), description="Measures; by default about a Robotiq 2F-85's.")
+    spare_m: float = Field(0.005, ge=0, description="Room on each side of the object when the open gripper comes.")
+    depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
+    tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
+    approach_m: float = Field(0.08, ge=0, description="Way along which the gripper comes and goes.")
+    table_z_m: float = Field(0.0, description="Height of the table.")
+    table_gap_m: float = Field(0.003, ge=0, description="Least height of the gripper above it.")
+    keep: int = Field(20, ge=1, description="Grasps returned at most.")
+
+    @property
+    def widest_m(self) -> float:
+        """Longest distance of two contacts."""
+        return self.gripper.stroke_m - 2 * self.spare_m
+
+
+NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's other parts or another object")
+
+
+def evenly_seen(request: PickPlace) -> PickPlace | Failure:
+    """The request with its points spread evenly; a Failure where too few of the object were seen."""
+    points = np.asarray(request.points, np.float64)
+    points = thin_out(points, _SPACING_M) if len(points) else points
+    if len(points) < _FEWEST_POINTS:
+        return Failure("grasp", f"only {len(points)} points of the object were seen")
+    others = thin_out(request.others, _OTHERS_SPACING_M) if len(request.others) else request.others
+    return replace(request, points=points, others=others)
+
+
+def closing_direction(a: Float, b: Float) -> Float:
+    """(3,) unit vector from one contact to the other, made level where it nearly is."""
+    x = (b - a) / np.linalg.norm(b - a)
+    return np.array([x[0], x[1], 0.0]) / np.hypot(x[0], x[1]) if abs(x[2]) < _LEVEL else x
+
+
+def balance(a: Float, b: Float, center: Float) -> float:
+    """0..1: how little of an object with its middle at `center` (3,) hangs to one side of a grasp on two contacts."""
+    lever = float(np.linalg.norm(np.cross(center - (a + b) / 2, closing_direction(a, b))))
+    return float(np.exp(-lever / _LEVER_M))
+
+
+def grasps_on(a: Float, b: Float, approach: Float, score: float, config: RoomConfig) -> Iterator[Grasp]:
+    """Grasps on two contacts that come along `approach`, as nearly as the closing direction lets them."""
+    x = closing_direction(a, b)
+    z = approach - (approach @ x) * x
+    z /= np.linalg.norm(z)
+    R = np.stack([x, np.cross(z, x), z], axis=1)
+    opening = float(np.linalg.norm(b - a)) + 2 * config.spare_m
+    # Flat objects leave no room below: their contacts are taken with the very tips.
+    for depth, worth in ((config.depth_m, 1.0), (0.3 * config.depth_m, 0.5)):
+        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, worth * score)
+
+
+def first_with_room(candidates: Iterable[Grasp], request: PickPlace, config: RoomConfig) -> list[Grasp]:
+    """Up to `keep` candidates that touch nothing and differ from each other, best first; `tries` are checked at most.
+
+    `request` is evenly seen.
+    """
+    found: list[Grasp] = []
+    tried = 0
+    for candidate in sorted(candidates, key=lambda grasp: -grasp.score):
+        if any(_alike(candidate, other) for other in found):
+            continue
+        tried += 1
+        if _has_room(candidate, request, config):
+            found.append(candidate)
+        if len(found) == config.keep or tried == config.tries:
+            break
+    return found
+
+
+def _alike(a: Grasp, b: Grasp) -> bool:
+    one, other = a.T_world_gripper, b.T_world_gripper
+    apart = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+    return apart < _ALIKE_M and float(rotation_angle(one[:3, :3] @ other[:3, :3].T)) < _ALIKE_RAD
+
+
+def _has_room(grasp: Grasp, request: PickPlace, config: RoomConfig) -> bool:
+    """Here and where it lets go: above the table, nothing between the fingers' outsides, a free way in and out."""
+    boxes = config.gripper.boxes(grasp.opening)
+    for T in (grasp.T_world_gripper, grasp.placed(request.T_place_pick)):
+        if lowest(T, boxes) < config.table_z_m + config.table_gap_m:
+            return False
+        if points_in_boxes(request.others, T, boxes, config.approach_m) > 0:
+            return False
+    return points_in_boxes(request.points, grasp.T_world_gripper, boxes, config.approach_m) <= _STRAY_POINTS

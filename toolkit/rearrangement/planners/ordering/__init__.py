@@ -1,0 +1,1 @@
+"""Orders of moves, and places to stand aside."""

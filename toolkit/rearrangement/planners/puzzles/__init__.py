@@ -1,0 +1,1 @@
+"""Rearrangement puzzles with known answers, and how planners fare on them."""

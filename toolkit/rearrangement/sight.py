@@ -1,0 +1,119 @@
+"""From pose estimates to what a planner sees: where every object stands, and where it is to go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import linear_sum_assignment
+
+from toolkit.geometry import rotation_angle, transform_points
+from toolkit.perception.database import Database
+from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.perception.pipeline import Pipeline
+from toolkit.rearrangement.moves import Item, Table
+from toolkit.registry import PluginConfig
+from toolkit.types import Failure, Float, Frame, PoseEstimate
+
+_SAME_OBJECT_M = 0.05
+
+
+class SightSettings(PluginConfig):
+    """How estimates become goals."""
+
+    settled_cm: float = Field(1.0, ge=0, description="An object whose motion is shorter than this, and ...")
+    settled_deg: float = Field(2.5, ge=0, description="... turns it by less than this, stays where it is.")
+    radius_m: float = Field(0.5, gt=0, description="Objects are put down inside this disc around the table's centre.")
+    clearance_m: float = Field(0.0, description="Footprints closer than this collide.")
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What one look at the table says.
+
+    Attributes:
+        table: one item an instance, in the order of their ids.
+        clouds: by instance, its (N, 3) points.
+        estimates: one a goal object.
+        goal_objects: by instance, the goal object it is taken for.
+        failures: by goal object, why it has no motion.
+    """
+
+    table: Table
+    clouds: dict[int, Float]
+    estimates: tuple[PoseEstimate, ...]
+    goal_objects: dict[int, int]
+    failures: dict[int, Failure]
+
+
+def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:
+    """Estimate every motion, and lay the objects out on a table.
+
+    An instance that several goal objects claim goes to the one of them that is surest.
+
+    Raises:
+        ToolkitError: a stage refuses its input.
+    """
+    database = pipeline.build_database(frames)
+    estimates = tuple(pipeline.estimate(database, goal))
+    failures = {e.goal_object: e.failure for e in estimates if e.failure is not None}
+    claims: dict[int, PoseEstimate] = {}
+    for estimate in sorted(estimates, key=_sureness, reverse=True):
+        if estimate.T_goal_current is None or estimate.instance is None:
+            continue
+        if estimate.instance in claims:
+            first = claims[estimate.instance].goal_object
+            reason = f"goal object {first} is taken for the same object, with more confidence"
+            failures[estimate.goal_object] = Failure("retriever", reason)
+        else:
+            claims[estimate.instance] = estimate
+    count = int(database.instances.max()) + 1 if len(database) else 0
+    clouds = {instance: _cloud(database, instance) for instance in range(count)}
+    items = tuple(_item(instance, cloud, claims.get(instance), settings) for instance, cloud in clouds.items())
+    table = Table(items, radius=settings.radius_m, clearance=settings.clearance_m)
+    return Sight(table, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)
+
+
+def correct(before: Sight, now: Sight) -> Sight:
+    """The newer look with the objects named as before, each after the nearest one within 5 cm.
+
+    An object that is not seen again stays as it was; one that was not there before is left out.
+    """
+    was = np.array([item.footprint.center for item in before.table.items]).reshape(-1, 2)
+    is_now = np.array([item.footprint.center for item in now.table.items]).reshape(-1, 2)
+    distances = np.linalg.norm(was[:, None] - is_now[None], axis=2)
+    items, clouds = list(before.table.items), dict(before.clouds)
+    for i, j in zip(*linear_sum_assignment(distances), strict=True):
+        if distances[i, j] <= _SAME_OBJECT_M:
+            seen = now.table.items[j]
+            items[i] = replace(seen, object=items[i].object)
+            clouds[items[i].object] = now.clouds[seen.object]
+    return replace(before, table=replace(before.table, items=tuple(items)), clouds=clouds)
+
+
+def _sureness(estimate: PoseEstimate) -> float:
+    return 1.0 if estimate.confidence is None else estimate.confidence
+
+
+def _cloud(database: Database, instance: int) -> Float:
+    """Fused points of an instance; the raw ones where too few are left after fusion."""
+    model = fuse(database, instance)
+    if isinstance(model, FusedModel):
+        return model.points
+    return np.concatenate([database.regions[row].points for row in database.instance(instance)])
+
+
+def _item(instance: int, cloud: Float, estimate: PoseEstimate | None, settings: SightSettings) -> Item:
+    if estimate is None or estimate.T_goal_current is None:
+        return Item.seen(instance, cloud, None)
+    alike = [estimate.T_goal_current, *(estimate.equivalents if estimate.equivalents is not None else ())]
+    settled = any(_stays(T, cloud, settings) for T in alike)
+    return Item.seen(instance, cloud, estimate.T_goal_current, confidence=_sureness(estimate), settled=settled)
+
+
+def _stays(T: Float, cloud: Float, settings: SightSettings) -> bool:
+    center = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+    shift_cm = 100 * float(np.linalg.norm(transform_points(T, center) - center))
+    return shift_cm < settings.settled_cm and np.degrees(rotation_angle(T[:3, :3])) < settings.settled_deg

@@ -1,0 +1,1 @@
+"""What a run leaves: rows, errors, intervals, tests, tables and reports."""

@@ -1,0 +1,129 @@
+"""Rows (one an object and cell) and summaries of rearrangements: task completion, Table II of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.results.rows import Estimate, SceneRow
+from toolkit.results.stats import bootstrap_interval, wilson_interval
+from toolkit.types import Float
+
+
+class MoveRow(SceneRow):
+    """Where one true object ended, in one cell.
+
+    Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
+    symmetry-aware. `stage` and `reason` say what kept it from its goal. `rounds`, `forced_buffers`, `scene_moves`,
+    `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
+    """
+
+    settings: dict[str, Any]
+    dataset: str = ""
+    scene: str
+    object: int
+    object_name: str
+    symmetry: Literal["none", "discrete", "continuous"]
+    rotation_error_deg: float
+    translation_error_cm: float
+    rotation_error_deg_sym: float
+    translation_error_cm_sym: float
+    success: bool
+    success_sym: bool
+    right_after: list[bool]
+    stage: str | None = None
+    reason: str | None = None
+    moves: int
+    buffer_moves: int
+    rounds: int
+    forced_buffers: int
+    scene_moves: int
+    time_ms: dict[str, float]
+    motion_s: float
+    weights: dict[str, str] = Field(default_factory=dict[str, str])
+
+
+@dataclass(frozen=True)
+class CompletionSummary:
+    """The figures of one cell; `_sym` ones take a model's symmetries into account.
+
+    A scene is complete when all its objects stand within 2 cm and 5 deg of their goals; `one_step` says how it stood
+    after the first round, which is what a run with `rounds: 1` ends with. Shares have Wilson intervals,
+    means bootstrap intervals over scenes; times are medians over scenes.
+    """
+
+    cell: str
+    settings: dict[str, Any]
+    scenes: int
+    objects: int
+    completion: Estimate
+    completion_sym: Estimate
+    completion_sym_one_step: Estimate
+    success: Estimate
+    success_sym: Estimate
+    moves_per_object: Estimate
+    moves_per_object_unforced: Estimate | None
+    buffer_moves_per_scene: float
+    forced_buffers_per_scene: float
+    rounds: float
+    perception_s: float
+    planning_ms: float
+    motion_s: float
+
+
+def summarize_completion(rows: Sequence[MoveRow]) -> list[CompletionSummary]:
+    """One summary a cell, in the order the cells first occur."""
+    by_cell: dict[str, list[MoveRow]] = {}
+    for row in rows:
+        by_cell.setdefault(row.cell, []).append(row)
+    return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell.items()]
+
+
+def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
+    scenes: dict[int, list[MoveRow]] = {}
+    for row in rows:
+        scenes.setdefault(row.scene_id, []).append(row)
+    firsts = [own[0] for own in scenes.values()]
+    unforced = {number: own for number, own in scenes.items() if own[0].forced_buffers == 0}
+    return CompletionSummary(
+        cell=cell,
+        settings=rows[0].settings,
+        scenes=len(scenes),
+        objects=len(rows),
+        completion=_share([all(row.success for row in own) for own in scenes.values()]),
+        completion_sym=_share([all(row.success_sym for row in own) for own in scenes.values()]),
+        completion_sym_one_step=_share([all(map(_right_in_one_step, own)) for own in scenes.values()]),
+        success=_share([row.success for row in rows]),
+        success_sym=_share([row.success_sym for row in rows]),
+        moves_per_object=_moves_per_object(scenes),
+        moves_per_object_unforced=_moves_per_object(unforced) if unforced else None,
+        buffer_moves_per_scene=float(np.mean([sum(row.buffer_moves for row in own) for own in scenes.values()])),
+        forced_buffers_per_scene=float(np.mean([first.forced_buffers for first in firsts])),
+        rounds=float(np.mean([first.rounds for first in firsts])),
+        perception_s=float(np.median([first.time_ms["perception"] for first in firsts])) / 1e3,
+        planning_ms=float(np.median([first.time_ms["planning"] for first in firsts])),
+        motion_s=float(np.median([first.motion_s for first in firsts])),
+    )
+
+
+def _right_in_one_step(row: MoveRow) -> bool:
+    return row.right_after[0] if row.right_after else row.success_sym
+
+
+def _share(outcomes: Sequence[bool]) -> Estimate:
+    return Estimate(float(np.mean(outcomes)), wilson_interval(sum(outcomes), len(outcomes)))
+
+
+def _moves_per_object(scenes: dict[int, list[MoveRow]]) -> Estimate:
+    moves: Float = np.array([own[0].scene_moves for own in scenes.values()], np.float64)
+    objects: Float = np.array([len(own) for own in scenes.values()], np.float64)
+    pairs = np.stack([moves, objects], axis=1)
+
+    def ratio(chosen: Float) -> float:
+        return float(chosen[:, 0].sum() / chosen[:, 1].sum())
+
+    return Estimate(ratio(pairs), bootstrap_interval(pairs, np.array(list(scenes)), ratio))

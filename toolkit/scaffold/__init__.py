@@ -1,5 +1,0 @@
-"""`toolkit plugin new`: a small installable distribution from a template that works."""
-
-from toolkit.scaffold.distribution import new_plugin
-
-__all__ = ["new_plugin"]
