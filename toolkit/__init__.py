@@ -1,7 +1,7 @@
 """Image-goal object rearrangement by multi-view fusion: a research toolkit of swappable, measured stages.
 
-The package reads as the pipeline: `types` and `geometry` hold the values, `stages` names every stage and its
-registry, one folder per stage holds its implementations, `pipeline` joins them, `ablate` measures them.
+The package reads as the paper: `perception` is its Sec. Method A, `rearrangement` its Sec. Method B, each with one
+folder for every stage; `types` and `geometry` hold what passes between them, `harness` runs and measures them.
 """
 
 __version__ = "0.1.0"

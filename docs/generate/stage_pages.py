@@ -73,8 +73,8 @@ def _stage(registry: Registry[Any]) -> str:
     lines = [
         f"# {registry.stage}",
         "",
-        f"{_summary(protocol)} Its Protocol is [`{protocol.__name__}`][{protocol.__module__}.{protocol.__name__}]; plugins"
-        f" announce theirs under the entry-point group `{registry.group}`.",
+        f"{_summary(protocol)} Its Protocol is [`{protocol.__name__}`][{protocol.__module__}.{protocol.__name__}];"
+        f" plugins announce theirs under the entry-point group `{registry.group}`.",
         "",
         "| name | what it is | weights |",
         "| --- | --- | --- |",
