@@ -125,10 +125,13 @@ class Segment:
     Attributes:
         mask: (H, W) bool, at least one pixel.
         score: 0..1, the segmenter's own confidence.
+        instance: which object of the scene it shows, the same number in every image; None where the segmenter does not
+            follow objects from image to image.
     """
 
     mask: Mask
     score: float = 1.0
+    instance: int | None = None
 
     def __post_init__(self) -> None:
         _require(self.mask.ndim == 2 and self.mask.dtype == np.bool_, "a segment's mask must be a 2D bool array")

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, transform_points
-from toolkit.perception.plane import fit_plane, pixel_rays
 from toolkit.perception.segmenters.tabletop.clusters import inside_hull, table_hull
 from toolkit.perception.segmenters.tabletop.split import neck_cuts
-from toolkit.perception.segmenters.tabletop.table_map import render_table, scan_table
+from toolkit.perception.tabletop.appearance import render_table, scan_table
+from toolkit.perception.tabletop.plane import fit_plane, pixel_rays
 from toolkit.plugin_kit.conformance import raycast
 from toolkit.plugin_kit.conformance.raycast import HEIGHT, NOW, THEN, WIDTH, Box, camera, shoot
 from toolkit.stages import SEGMENTERS, Segmenter

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from toolkit.errors import ToolkitError
 from toolkit.perception.database import Database
-from toolkit.perception.plane import fit_planes, table_frame
+from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
 
 _VOXEL_M = 0.002
@@ -136,9 +136,8 @@ class Models:
 
     @cached_property
     def _table(self) -> Float | None:
-        frames = self._database.frames
         try:
-            return table_frame(frames, fit_planes(frames))
+            return find_table(self._database.frames).T_world_table
         except ToolkitError:
             return None
 

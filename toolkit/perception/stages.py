@@ -182,6 +182,7 @@ SEGMENTERS: Registry[Segmenter] = Registry(
         "depth_plane": "toolkit.perception.segmenters.depth_plane:DepthPlaneSegmenter",
         "grounded_sam": "toolkit.perception.segmenters.grounded_sam:GroundedSamSegmenter",
         "mobile_sam": "toolkit.perception.segmenters.mobile_sam:MobileSamSegmenter",
+        "multiview": "toolkit.perception.segmenters.multiview:MultiviewSegmenter",
         "table_appearance": "toolkit.perception.segmenters.table_appearance:TableAppearanceSegmenter",
     },
 )
@@ -191,6 +192,7 @@ ASSOCIATORS: Registry[Associator] = Registry(
     {
         "oracle": "toolkit.perception.associators.oracle:OracleAssociator",
         "kmeans": "toolkit.perception.associators.kmeans:KMeansAssociator",
+        "overlap": "toolkit.perception.associators.overlap:OverlapAssociator",
     },
 )
 DESCRIPTORS: Registry[Descriptor] = Registry(

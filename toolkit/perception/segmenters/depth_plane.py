@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from toolkit.perception.plane import fit_plane
+from toolkit.errors import ToolkitError
 from toolkit.perception.segmenters.tabletop.clusters import cluster_above_plane, is_noisy
-from toolkit.perception.segmenters.tabletop.labels import keep
-from toolkit.perception.segmenters.tabletop.refine import snap_to_colour
+from toolkit.perception.tabletop.labels import keep
+from toolkit.perception.tabletop.plane import fit_near
+from toolkit.perception.tabletop.refine import snap_to_colour
+from toolkit.perception.tabletop.table import find_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
+
+_NEAR_M = 0.012
+"""A frame's own plane lies this near to the table of all frames."""
 
 
 class DepthPlaneConfig(PluginConfig):
@@ -39,20 +44,34 @@ class DepthPlaneSegmenter(Plugin):
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the clusters above the table; raises ToolkitError without depth or where no table is in it."""
         settings = self.config
-        labels = cluster_labels(frame, settings.min_height_mm / 1e3, settings.cell_mm / 1e3, settings.min_pixels)
+        labels = cluster_labels(
+            frame, current, settings.min_height_mm / 1e3, settings.cell_mm / 1e3, settings.min_pixels
+        )
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
 
 
 def cluster_labels(
-    frame: Frame, min_height: float = 0.0015, cell: float = 0.005, min_pixels: int = 60
+    frame: Frame, current: Sequence[Frame], min_height: float = 0.0015, cell: float = 0.005, min_pixels: int = 60
 ) -> NDArray[np.int32]:
-    """(H, W) int32 labels of the clusters above the table, with crisp borders; arguments as `cluster_above_plane`.
+    """(H, W) int32 labels of the clusters above the table, with crisp borders.
+
+    Args:
+        frame: one of the current frames.
+        current: all of them; the table is found in them together.
+        min_height: as for `cluster_above_plane`, as are the others.
+        cell: side of the plan's cells, metres.
+        min_pixels: smaller clusters are dropped.
 
     Raises:
         ToolkitError: the frame has no depth, or no table is in it.
     """
-    plane = fit_plane(frame)
-    labels = cluster_above_plane(frame, plane, min_height, cell, min_pixels)
+    if frame.depth is None:
+        raise ToolkitError(f"frame {frame.index} has no depth, and depth clusters are found in it")
+    table = find_table(current)
+    plane = fit_near(frame, table.T_world_table, _NEAR_M)
+    if plane is None:
+        raise ToolkitError(f"frame {frame.index} does not see the table that the current frames show")
+    labels = cluster_above_plane(frame, plane, table, min_height, cell, min_pixels)
     if is_noisy(frame, plane, min_height):
         refined = snap_to_colour(frame.rgb, labels)
         labels = keep(refined, np.ones(int(labels.max()) + 1, bool), min_pixels)

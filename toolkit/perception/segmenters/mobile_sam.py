@@ -11,8 +11,10 @@ from pydantic import Field
 from toolkit.perception.segmenters.depth_plane import cluster_labels
 from toolkit.perception.segmenters.networks.proposals import propose
 from toolkit.perception.segmenters.networks.sam import Sam
-from toolkit.perception.segmenters.table_appearance import TableMemory, blob_labels
+from toolkit.perception.segmenters.table_appearance import blob_labels
+from toolkit.perception.segmenters.tabletop.looks import object_looks
 from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.tabletop.appearance import scan_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 from toolkit.weights.resolve import file_digest, resolve_weights
@@ -43,10 +45,6 @@ class MobileSamSegmenter(Plugin):
     weights = ("mobile_sam-encoder", "mobile_sam-decoder")
     config: MobileSamConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
-        super().__init__(config)
-        self._table = TableMemory()
-
     def check_ready(self) -> None:
         """Open both networks, so that a missing or foreign file stops the command before any work."""
         _ = self._sam
@@ -58,14 +56,14 @@ class MobileSamSegmenter(Plugin):
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return what stands on the table; raises ToolkitError where no depth shows a table."""
         settings = self.config
-        scan = self._table.scan(tuple(current))
         if frame.depth is None:
-            labels = blob_labels(frame, scan, settings.threshold, settings.min_pixels)
+            labels = blob_labels(frame, scan_table(current), settings.threshold, settings.min_pixels)
         else:
-            labels = cluster_labels(frame, min_pixels=settings.min_pixels)
-        if labels.max() < len(scan.looks):
+            labels = cluster_labels(frame, current, min_pixels=settings.min_pixels)
+        looks = object_looks(current)
+        if labels.max() < len(looks):
             proposals = propose(self._sam, frame.rgb, labels, settings.grid_px, settings.min_pixels)
-            labels = split_touching(frame.rgb, labels, scan.looks, settings.min_pixels, proposals)
+            labels = split_touching(frame.rgb, labels, looks, settings.min_pixels, proposals)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
 
     @cached_property

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.perception.segmenters.tabletop.blobs import find_blobs
-from toolkit.perception.segmenters.tabletop.difference import difference
+from toolkit.perception.segmenters.tabletop.looks import object_looks
 from toolkit.perception.segmenters.tabletop.split import split_touching
-from toolkit.perception.segmenters.tabletop.table_map import TableScan, render_table, scan_table
+from toolkit.perception.tabletop.appearance import TableScan, render_table, scan_table
+from toolkit.perception.tabletop.difference import difference
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 
@@ -38,31 +39,14 @@ class TableAppearanceSegmenter(Plugin):
     Config = TableAppearanceConfig
     config: TableAppearanceConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
-        super().__init__(config)
-        self._table = TableMemory()
-
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""
         settings = self.config
-        scan = self._table.scan(tuple(current))
+        scan = scan_table(current)
         labels = blob_labels(frame, scan, settings.threshold, settings.min_pixels)
         if settings.split:
-            labels = split_touching(frame.rgb, labels, scan.looks, settings.min_pixels)
+            labels = split_touching(frame.rgb, labels, object_looks(current), settings.min_pixels)
         return [Segment(labels == k) for k in range(1, int(labels.max()) + 1)]
-
-
-class TableMemory:
-    """The table of the last scene, kept for its next image."""
-
-    def __init__(self) -> None:
-        self._last: tuple[tuple[Frame, ...], TableScan] | None = None
-
-    def scan(self, current: tuple[Frame, ...]) -> TableScan:
-        """The table of these very frames; raises ToolkitError where none shows one."""
-        if self._last is None or self._last[0] != current:
-            self._last = (current, scan_table(current))
-        return self._last[1]
 
 
 def blob_labels(frame: Frame, scan: TableScan, threshold: float, min_pixels: int) -> NDArray[np.int32]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from toolkit.geometry import look_at
-from toolkit.perception.plane import pixel_rays
+from toolkit.perception.tabletop.plane import pixel_rays
 from toolkit.types import Camera, Float, Frame
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]

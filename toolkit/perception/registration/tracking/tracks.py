@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
-from toolkit.perception.plane import fit_planes, on_plane, table_frame, table_homography
+from toolkit.perception.tabletop.plane import on_plane, table_homography
+from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
 _PIXEL_M = 0.002
@@ -119,12 +120,12 @@ def find_tabletop(frames: Sequence[Frame]) -> Tabletop:
     """
     if not frames:
         raise ToolkitError("cameras are registered by the table in the current frames, and there is no frame")
-    planes = fit_planes(frames)
+    table = find_table(frames)
     masks = [
         np.zeros(frame.rgb.shape[:2], bool) if plane is None else on_plane(plane, frame)
-        for frame, plane in zip(frames, planes, strict=True)
+        for frame, plane in zip(frames, table.planes, strict=True)
     ]
-    T = table_frame(frames, planes)
+    T = table.T_world_table.copy()
     T[:3, 3] = _middle(T, frames, masks)
     return Tabletop(T, tuple(masks))
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.perception.segmenters.tabletop.labels import keep
-from toolkit.perception.segmenters.tabletop.refine import snap_to_colour
-from toolkit.perception.segmenters.tabletop.table_map import TableView
+from toolkit.perception.tabletop.appearance import TableView
+from toolkit.perception.tabletop.labels import keep
+from toolkit.perception.tabletop.refine import snap_to_colour
 from toolkit.types import Float, Image, Mask
 
 _GROW = 0.5

@@ -6,27 +6,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.perception.plane import Plane, on_plane, pixel_rays, plan_axes
-from toolkit.perception.segmenters.tabletop.labels import keep, nearest_label
+from toolkit.geometry import invert
+from toolkit.perception.tabletop.labels import keep, nearest_label
+from toolkit.perception.tabletop.plane import Plane, pixel_rays
+from toolkit.perception.tabletop.table import Table
 from toolkit.types import Float, Frame, Mask
 
 _SMOOTH_PX = 1.5
 _HIGH, _LOW = 5.0, 2.5
 """Hysteresis, in deviations of the table's noise: real with a pixel above the first, and down to the second."""
 
-_TABLE_CELL_M = 0.01
 _TOUCH_M = 0.04
 """What hovers higher than this above the table with all its visible parts does not stand on it."""
 
 
 def cluster_above_plane(
-    frame: Frame, plane: Plane, min_height: float = 0.0015, cell: float = 0.005, min_pixels: int = 60
+    frame: Frame, plane: Plane, table: Table, min_height: float, cell: float, min_pixels: int
 ) -> NDArray[np.int32]:
     """Label the objects on the table.
 
     Args:
         frame: with depth.
-        plane: the table, from `fit_plane`.
+        plane: the table before the frame's camera.
+        table: the table of all frames.
         min_height: metres; the least threshold.
         cell: metres; side of the plan's cells.
         min_pixels: smaller clusters are dropped.
@@ -44,10 +46,11 @@ def cluster_above_plane(
     high = heights > max(min_height, _HIGH * noise_height)
     low = heights > max(min_height, _LOW * noise_height)
     core = low & (depth > 0)
-    plan = (rays[core] * depth[core, None]) @ plan_axes(plane).T.astype(np.float32)
+    T = invert(table.T_world_table) @ frame.camera.T_world_camera
+    plan = (rays[core] * depth[core, None]) @ T[:2, :3].T + T[:2, 3]
     seeds = np.zeros(depth.shape, np.int32)
     seeds[core] = _plan_labels(plan, max(cell, _footprint(frame, plane, core)))
-    real = _supported(frame, plane, seeds, core, plan, heights) & np.isin(np.arange(seeds.max() + 1), seeds[high])
+    real = _supported(seeds, core, table.holds(plan), heights) & np.isin(np.arange(seeds.max() + 1), seeds[high])
     labels = _grow(keep(seeds, real, min_pixels), low)
     return keep(labels, np.ones(int(labels.max(initial=0)) + 1, bool), min_pixels)
 
@@ -90,41 +93,14 @@ def _plan_labels(plan: Float, cell: float) -> NDArray[np.int32]:
     return cv2.connectedComponents(grid, connectivity=8)[1][tuple(cells.T)].astype(np.int32)
 
 
-def _supported(
-    frame: Frame, plane: Plane, labels: NDArray[np.int32], core: Mask, plan: Float, heights: Float
-) -> NDArray[np.bool_]:
-    """(n + 1,) which clusters stand on the table: most of their plan lies in its hull, and they come down to it."""
+def _supported(labels: NDArray[np.int32], core: Mask, inside: Mask, heights: Float) -> NDArray[np.bool_]:
+    """(n + 1,) which clusters stand on the table: most of their plan lies inside its outline, and they come down to it."""
     count = int(labels.max(initial=0)) + 1
-    assert frame.depth is not None
-    table = on_plane(plane, frame)[::4, ::4]
-    points = (pixel_rays(frame)[::4, ::4][table] * frame.depth[::4, ::4][table][:, None]) @ plan_axes(plane).T
-    hull = table_hull(points.astype(np.float32))
     members = labels[core]
-    inside = inside_hull(hull, plan)
     sizes = np.maximum(np.bincount(members, minlength=count), 1)
     lowest = np.full(count, np.inf)
     np.minimum.at(lowest, members, heights[core])
     return (np.bincount(members, inside, count) / sizes > 0.5) & (lowest < _TOUCH_M)
-
-
-def table_hull(points: Float) -> Float:
-    """(M, 2) float32 convex hull, metres, of the largest connected part of (N, 2) table points in plan."""
-    low = points.min(axis=0)
-    cells = np.floor((points - low) / _TABLE_CELL_M).astype(np.int64)
-    grid = np.zeros((cells.max(axis=0) + 1).tolist(), np.uint8)
-    grid[tuple(cells.T)] = 1
-    # The far side of a table is sampled sparsely, and objects cast gaps.
-    _, labels = cv2.connectedComponents(cv2.dilate(grid, np.ones((5, 5), np.uint8)))
-    members = labels[tuple(cells.T)]
-    largest = int(np.bincount(members).argmax())
-    return np.asarray(cv2.convexHull(points[members == largest].astype(np.float32))[:, 0], np.float32)
-
-
-def inside_hull(hull: Float, points: Float) -> Mask:
-    """(N,) bool: which (N, 2) points lie in a convex polygon (M, 2) of either orientation."""
-    edges = np.roll(hull, -1, axis=0) - hull
-    sides = points @ np.stack([-edges[:, 1], edges[:, 0]]) - (hull[:, 1] * edges[:, 0] - hull[:, 0] * edges[:, 1])
-    return np.asarray((sides >= 0).all(axis=1) | (sides <= 0).all(axis=1))
 
 
 def _grow(seeds: NDArray[np.int32], mask: Mask) -> NDArray[np.int32]:

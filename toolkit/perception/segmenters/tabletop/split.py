@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from toolkit.perception.segmenters.tabletop.labels import keep, nearest_label
 from toolkit.perception.segmenters.tabletop.looks import colour_bins
-from toolkit.perception.segmenters.tabletop.refine import window
+from toolkit.perception.tabletop.labels import keep, nearest_label
+from toolkit.perception.tabletop.refine import window
 from toolkit.types import Float, Image, Mask
 
 _NECK = 0.9

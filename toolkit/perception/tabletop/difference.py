@@ -8,14 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.perception.segmenters.tabletop.light import relit
-from toolkit.perception.segmenters.tabletop.table_map import TableView
+from toolkit.perception.tabletop.appearance import TableView, fill
+from toolkit.perception.tabletop.light import relit
 from toolkit.types import Float, Image, Mask
 
 _LOG_OFFSET = 8.0
 """Grey levels added before the logarithm, so that noise in dark pixels counts no more than elsewhere."""
 
 _LEAST_SIGMA = 0.012
+_TEXTURE_PX, _TEXTURE = 4.0, 2.0
+"""Surroundings of a pixel, and how many deviations from them its texture may go where no frame saw it."""
+
 _SPREAD = 3.0
 _LEAST_SPREAD = 0.06
 _POSSIBLY_RELIT = 0.5
@@ -26,8 +29,8 @@ def difference(rgb: Image, view: TableView) -> Float:
     """Score every pixel by how far its colour lies outside what the table could show there.
 
     Logarithms of colours are compared, so that light is a sum; it is fitted as a quadratic over the image. The table
-    may show any colour that its map has within one pixel. Where no frame saw the table, it may show any of its common
-    colours; beyond the table, any common colour of the background.
+    may show any colour that its map has within one pixel. Where no frame saw the table, it looks like what is around,
+    give or take its own texture; beyond the table it may show any common colour of the background.
 
     Args:
         rgb: (H, W, 3) the image.
@@ -43,7 +46,9 @@ def difference(rgb: Image, view: TableView) -> Float:
     kernel = np.ones((3, 3), np.uint8)
     low, high = _float(cv2.erode(table, kernel)), _float(cv2.dilate(table, kernel))
     near_unseen = cv2.dilate((~view.seen).astype(np.uint8), kernel) > 0
-    _fill_range(low, high, near_unseen & view.table, table[view.seen])
+    guessed = near_unseen & view.table
+    texture = _texture(table, view.seen)[guessed]
+    low[guessed], high[guessed] = table[guessed] - texture, table[guessed] + texture
     beyond = ~view.table
     _fill_range(low, high, beyond, image[beyond])
     excess = np.maximum(image - high, 0) - np.maximum(low - image, 0)
@@ -61,6 +66,15 @@ def _log(rgb: Image) -> Float:
 
 def _float(image: NDArray[Any]) -> Float:
     return np.asarray(image, np.float32)
+
+
+def _texture(table: Float, seen: Mask) -> Float:
+    """(H, W, 3) how far the table's colour goes from its surroundings' where it was seen, and as far elsewhere."""
+    off = table - cv2.GaussianBlur(table, (0, 0), _TEXTURE_PX)
+    inner = cv2.erode(seen.astype(np.uint8), np.ones((2 * round(_TEXTURE_PX) + 1,) * 2)) > 0
+    if not inner.any():
+        return np.full_like(table, _LEAST_SPREAD)
+    return _TEXTURE * np.sqrt(fill(off * off, inner)) + _LEAST_SPREAD
 
 
 def _light(residual: Float, where: Mask) -> Float:

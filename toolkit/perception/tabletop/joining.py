@@ -1,0 +1,134 @@
+"""Pieces of objects that belong together, joined by colour and by how they touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from toolkit.perception.tabletop.table import inside_convex
+from toolkit.types import Float, Image
+
+_LEVELS = 8
+_SMOOTH_BINS = 0.7
+_CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
+"""A piece smaller than this, or than this part of its neighbour, is no object of its own."""
+
+_ALIKE, _MORE_ALIKE = 0.45, 0.5
+"""Histogram intersection of two pieces of one colour: where one lies within the other, and where they only touch."""
+
+_WITHIN = 0.6
+_SHALLOW_DEG, _SMOOTH_DEG = 42.0, 24.0
+"""Mean angle along a border that pieces of one colour may have, and one that is none whatever the colours."""
+
+
+@dataclass
+class _Piece:
+    histogram: Float
+    area: float
+    plan: Float
+
+
+def join_pieces(
+    pieces: NDArray[np.int64],
+    center: Float,
+    pairs: NDArray[np.int64],
+    concave: Float,
+    voxel_of_pixel: NDArray[np.int64],
+    colours: Image,
+    cell: float,
+) -> NDArray[np.int64]:
+    """Join pieces while two neighbours are more likely one object than two, the likeliest first.
+
+    Args:
+        pieces: (V,) piece of every voxel, 0..n-1, -1 for none.
+        center: (V, 3) metres, in the table's frame.
+        pairs: (E, 2) neighbouring voxels.
+        concave: (V,) degrees.
+        voxel_of_pixel: (P,).
+        colours: (P, 3) uint8 RGB of the pixels.
+        cell: side of a voxel, metres.
+
+    Returns:
+        (V,) objects, 0..m-1, -1 for none.
+    """
+    count = int(pieces.max(initial=-1)) + 1
+    if not count:
+        return pieces
+    known = _make(pieces, center, voxel_of_pixel, colours, cell, count)
+    borders = _borders(pieces, pairs, concave, count)
+    owner = np.arange(count)
+    while True:
+        options = [(gain, a, b) for (a, b), border in borders.items() if (gain := _gain(known[a], known[b], border))]
+        if not options:
+            break
+        _, a, b = max(options)
+        owner[owner == b] = a
+        known[a] = _Piece(
+            known[a].histogram + known[b].histogram,
+            known[a].area + known[b].area,
+            np.concatenate([known[a].plan, known[b].plan]),
+        )
+        joined: dict[tuple[int, int], tuple[int, float]] = {}
+        for (i, j), (length, angles) in borders.items():
+            i, j = sorted((a if i == b else i, a if j == b else j))
+            if i != j:
+                before = joined.get((i, j), (0, 0.0))
+                joined[i, j] = before[0] + length, before[1] + angles
+        borders = joined
+    objects = np.unique(owner, return_inverse=True)[1]
+    return np.where(pieces >= 0, objects[pieces], -1)
+
+
+def _make(
+    pieces: NDArray[np.int64], center: Float, of_pixel: NDArray[np.int64], colours: Image, cell: float, count: int
+) -> list[_Piece]:
+    levels = colours.astype(np.int64) * _LEVELS // 256
+    bins = (levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]
+    owner = pieces[of_pixel]
+    seen = owner >= 0
+    flat = np.bincount(owner[seen] * _LEVELS**3 + bins[seen], minlength=count * _LEVELS**3).astype(np.float64)
+    cubes = gaussian_filter(flat.reshape(count, _LEVELS, _LEVELS, _LEVELS), (0, *[_SMOOTH_BINS] * 3))
+    areas = np.bincount(pieces[pieces >= 0], minlength=count) * cell**2
+    plans = [center[pieces == k, :2] for k in range(count)]
+    return [_Piece(cubes[k].ravel(), float(areas[k]), plans[k]) for k in range(count)]
+
+
+def _borders(
+    pieces: NDArray[np.int64], pairs: NDArray[np.int64], concave: Float, count: int
+) -> dict[tuple[int, int], tuple[int, float]]:
+    """Number of neighbouring voxels, and the sum of their angles, by pair of pieces that touch."""
+    a, b = np.sort(pieces[pairs], axis=1).T
+    touching = (a >= 0) & (a != b)
+    angles = concave[pairs[touching]].max(axis=1)
+    keys, inverse, lengths = np.unique(a[touching] * count + b[touching], return_inverse=True, return_counts=True)
+    sums = np.bincount(inverse, angles, len(keys))
+    return {
+        (int(key // count), int(key % count)): (int(length), float(total))
+        for key, length, total in zip(keys, lengths, sums, strict=True)
+    }
+
+
+def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
+    """How much speaks for one object; 0 where nothing does."""
+    small, large = (a, b) if a.area < b.area else (b, a)
+    if small.area < _CRUMB_M2 or small.area < _CRUMB_SHARE * large.area:
+        return 2 + border[0] / (1 + border[0])
+    angle = border[1] / border[0]
+    if angle < _SMOOTH_DEG:
+        return 1 + (_SMOOTH_DEG - angle) / _SMOOTH_DEG
+    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
+    if alike > _MORE_ALIKE and angle < _SHALLOW_DEG:
+        return alike
+    if alike > _ALIKE and _within(small.plan, large.plan) > _WITHIN:
+        return alike
+    return 0.0
+
+
+def _within(small: Float, large: Float) -> float:
+    """Share of the first plan (N, 2) inside the convex hull of the second."""
+    hull = np.asarray(cv2.convexHull(large.astype(np.float32))[:, 0], np.float64)
+    return float(inside_convex(hull, small).mean()) if len(hull) > 2 else 0.0
