@@ -5,6 +5,7 @@ SLOTS: dict[str, str] = {
     "segmenter": "segmenter",
     "goal_segmenter": "segmenter",
     "associator": "associator",
+    "explainer": "explainer",
     "descriptor": "descriptor",
     "index": "index",
     "retriever": "retriever",

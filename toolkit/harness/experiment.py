@@ -44,6 +44,7 @@ class PipelineChoice(PipelineSettings):
     segmenter: StageChoice
     goal_segmenter: StageChoice
     associator: StageChoice
+    explainer: StageChoice = StageChoice(name="none")
     descriptor: StageChoice
     index: StageChoice
     retriever: StageChoice

@@ -141,6 +141,16 @@ class Models:
         except ToolkitError:
             return None
 
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """The current frames."""
+        return self._database.frames
+
+    def usable(self) -> dict[int, FusedModel]:
+        """The models of all instances that have one, by instance."""
+        found = {int(instance): self.get(int(instance)) for instance in np.unique(self._database.instances)}
+        return {instance: model for instance, model in found.items() if isinstance(model, FusedModel)}
+
     def all(self) -> list[FusedModel]:
         """The models of all instances that have one."""
         found = (self.get(int(instance)) for instance in np.unique(self._database.instances))

@@ -11,6 +11,7 @@ from toolkit.perception.meter import Meter
 from toolkit.perception.stages import (
     Associator,
     Descriptor,
+    Explainer,
     Index,
     Matcher,
     PnP,
@@ -52,6 +53,7 @@ class Stages:
     segmenter: Segmenter
     goal_segmenter: Segmenter
     associator: Associator
+    explainer: Explainer
     descriptor: Descriptor
     index: Index
     retriever: Retriever

@@ -18,7 +18,12 @@ from toolkit.types import Float, Frame, Segment
 
 
 def rank(
-    parts: Parts, database: Database, goal: Frame, segments: Sequence[Segment], models: Models
+    parts: Parts,
+    database: Database,
+    goal: Frame,
+    segments: Sequence[Segment],
+    models: Models,
+    given: Sequence[int] | None = None,
 ) -> list[NDArray[np.int64]]:
     """Order the database by similarity, once for every goal object.
 
@@ -28,10 +33,11 @@ def rank(
         goal: the goal image.
         segments: Q objects in it, at least one.
         models: of the database's instances, for the refiner where it decides between instances that look alike.
+        given: the instances of the first objects, where they are known; the others are then not looked for.
 
     Returns:
-        Q rankings: database rows by falling similarity. All rows, or those of the one instance that the object is
-        assigned (`PipelineSettings.assignment`).
+        Q rankings, or as many as are given: database rows by falling similarity. All rows, or
+        those of the one instance that the object is assigned (`PipelineSettings.assignment`).
     """
     with parts.meter.stage("descriptor"):
         size, margin = parts.stages.descriptor.crop_size, parts.settings.crop_margin
@@ -40,6 +46,8 @@ def rank(
     with parts.meter.stage("index"):
         parts.stages.index.build(database.descriptors)
         rankings = list(parts.stages.index.search(queries, len(database))[1])
+    if given is not None:
+        return [restrict(r, database.instances, i) for r, i in zip(rankings, given, strict=False)]
     if parts.settings.assignment == "vote":
         return rankings
     if parts.settings.assignment == "truth":

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.perception.database import Database
+from toolkit.perception.explanation import ExplainTask, Placement
 from toolkit.perception.fusion import Models, RefineTask, Start
 from toolkit.perception.lifting import merge
 from toolkit.perception.parts import Parts
@@ -44,23 +45,35 @@ class Scene:
             goal = parts.stages.registration.locate(goal, database.frames)
         with parts.meter.stage("segmenter"):
             segments = parts.stages.goal_segmenter.segment(goal, database.frames)
+        with parts.meter.stage("explainer"):
+            explanation = parts.stages.explainer.explain(ExplainTask(goal, tuple(segments), self.models))
+        if explanation is not None:
+            segments = [*(p.segment for p in explanation.placements), *explanation.unknown]
         if not segments:
             return []
-        rankings = rank(parts, database, goal, segments, self.models) if len(database) else []
+        placements = () if explanation is None else explanation.placements
+        given = None if explanation is None else [p.instance for p in placements]
+        rankings = rank(parts, database, goal, segments, self.models, given) if len(database) else []
         shared_ms, shared_cached = parts.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
-            if rankings:
+            if number < len(rankings):
                 estimate = self._from_matches(goal, number, segment, rankings[number])
-                estimate = self._refine(estimate, goal, segments)
+                placement = placements[number] if number < len(placements) else None
+                estimate = self._refine(estimate, goal, segments, placement)
             else:
-                failure = Failure("segmenter", "no object region was found in the current frames")
-                estimate = PoseEstimate(number, segment, None, None, failure)
+                estimate = PoseEstimate(number, segment, None, None, self._unknown())
             own_ms, own_cached = parts.meter.take()
             time_ms = {s: shared_ms.get(s, 0.0) + own_ms.get(s, 0.0) for s in {**shared_ms, **own_ms}}
             estimates.append(replace(estimate, time_ms=time_ms, cached=shared_cached or own_cached))
         return estimates
+
+    def _unknown(self) -> Failure:
+        """Why a goal object that is not looked for has no motion."""
+        if not len(self.database):
+            return Failure("segmenter", "no object region was found in the current frames")
+        return Failure("explainer", "no object of the current scene explains it: it is new, or hidden in all frames")
 
     def _from_matches(self, goal: Frame, number: int, segment: Segment, ranking: NDArray[np.int64]) -> PoseEstimate:
         """The best supported motion of the instances that were accepted."""
@@ -99,23 +112,29 @@ class Scene:
             candidates=candidates,
         )
 
-    def _refine(self, estimate: PoseEstimate, goal: Frame, segments: Sequence[Segment]) -> PoseEstimate:
+    def _refine(
+        self, estimate: PoseEstimate, goal: Frame, segments: Sequence[Segment], placement: Placement | None
+    ) -> PoseEstimate:
         """Let the refiner improve the motion, or find one where the matches gave none."""
+        if placement is not None:
+            estimate = replace(estimate, instance=placement.instance)
         if estimate.instance is None:
             return estimate
         number, starts = estimate.goal_object, starts_of(estimate)
+        if placement is not None:
+            starts = (*starts, Start(placement.T_goal_current))
         task = RefineTask.of(goal, segments, number, estimate.instance, self.models, starts)
         with self._parts.meter.stage("refiner"):
             refined = self._parts.stages.refiner.refine(task)
         if refined is None:
-            return estimate
+            return estimate if placement is None or estimate.failure is None else _placed(estimate, placement)
         if isinstance(refined, Failure):
             return replace(estimate, T_goal_current=None, failure=refined)
         return replace(
             estimate,
             T_goal_current=refined.T_goal_current,
             failure=None,
-            confidence=refined.confidence,
+            confidence=refined.confidence * (1.0 if placement is None else placement.trust),
             equivalents=refined.equivalents,
             ambiguity=refined.ambiguity,
             covariance=refined.covariance,
@@ -132,3 +151,8 @@ def starts_of(estimate: PoseEstimate) -> tuple[Start, ...]:
 def _support(estimate: PoseEstimate) -> int:
     """Inliers behind an estimate; a failure has fewer than any solution."""
     return -1 if estimate.inliers is None else int(estimate.inliers.sum())
+
+
+def _placed(estimate: PoseEstimate, placement: Placement) -> PoseEstimate:
+    """The motion of the explanation, where nothing better is known."""
+    return replace(estimate, T_goal_current=placement.T_goal_current, failure=None, confidence=placement.trust)

@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.perception.explanation import ExplainTask, Explanation
 from toolkit.perception.fusion import RefineTask
 from toolkit.registry import Registry
 from toolkit.types import (
@@ -57,6 +58,20 @@ class Associator(Protocol):
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) int64 instance ids 0..K-1, one a region; every id in that range occurs."""
+        ...
+
+
+class Explainer(Protocol):
+    """Says what the goal image shows in terms of the current scene's instances, before any mask is final."""
+
+    def explain(self, task: ExplainTask) -> Explanation | None:
+        """Return which instances stand where in the goal image, and what is none of them.
+
+        None leaves the goal's objects to the goal segmenter, and which instances they are to retrieval (the paper).
+
+        Raises:
+            ToolkitError: the scene lacks what this explainer needs (a table in the depth of the current frames).
+        """
         ...
 
 
@@ -193,6 +208,14 @@ ASSOCIATORS: Registry[Associator] = Registry(
         "oracle": "toolkit.perception.associators.oracle:OracleAssociator",
         "kmeans": "toolkit.perception.associators.kmeans:KMeansAssociator",
         "overlap": "toolkit.perception.associators.overlap:OverlapAssociator",
+    },
+)
+EXPLAINERS: Registry[Explainer] = Registry(
+    "explainer",
+    "toolkit.explainers",
+    {
+        "none": "toolkit.perception.explainers.none:Unexplained",
+        "perch": "toolkit.perception.explainers.perch:Perch",
     },
 )
 DESCRIPTORS: Registry[Descriptor] = Registry(

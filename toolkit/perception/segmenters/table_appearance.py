@@ -52,4 +52,4 @@ class TableAppearanceSegmenter(Plugin):
 def blob_labels(frame: Frame, scan: TableScan, threshold: float, min_pixels: int) -> NDArray[np.int32]:
     """(H, W) int32 labels of what differs from the table's look; arguments as `find_blobs`."""
     view = render_table(scan, frame.camera)
-    return find_blobs(frame.rgb, difference(frame.rgb, view), view, threshold, min_pixels)
+    return find_blobs(frame.rgb, difference(frame.rgb, view).score, view, threshold, min_pixels)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -99,7 +100,7 @@ def render_table(scan: TableScan, camera: Camera) -> TableView:
 
 def fill(image: Float, known: Mask) -> Float:
     """(H, W, C) float32 with what is not known filled from around it: push-pull (Gortler et al., SIGGRAPH 1996)."""
-    levels = [(image * known[..., None], known.astype(np.float32))]
+    levels: list[tuple[Any, Any]] = [(image * known[..., None], known.astype(np.float32))]
     while min(levels[-1][1].shape) > _COARSEST_PX:
         total, weight = levels[-1]
         levels.append((cv2.pyrDown(total), cv2.pyrDown(weight)))

@@ -28,7 +28,7 @@ _CONTRAST = 40.0
 """Grey levels between two sides that are a full change of colour."""
 
 _FLATTEST_VIEW = 0.3
-"""Cosine between a surface's normal and the ray: flatter is seen too badly, or is depth smeared from one to the next."""
+"""Cosine between a surface's normal and the ray: flatter is seen too badly, or is smeared depth."""
 
 _DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
 _OPENED_M = 0.003

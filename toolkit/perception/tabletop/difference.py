@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -15,6 +16,8 @@ from toolkit.types import Float, Image, Mask
 _LOG_OFFSET = 8.0
 """Grey levels added before the logarithm, so that noise in dark pixels counts no more than elsewhere."""
 
+_MOST_LIGHT = 0.7
+
 _LEAST_SIGMA = 0.012
 _TEXTURE_PX, _TEXTURE = 4.0, 2.0
 """Surroundings of a pixel, and how many deviations from them its texture may go where no frame saw it."""
@@ -25,7 +28,20 @@ _POSSIBLY_RELIT = 0.5
 """What is left of the score where the table may only be in shadow."""
 
 
-def difference(rgb: Image, view: TableView) -> Float:
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """An image against the empty table.
+
+    Attributes:
+        score: (H, W) float32 in deviations of the table's own residual; 0 where no object can be.
+        relit: (H, W, 3) float32, the image as it would be in the current scene's light.
+    """
+
+    score: Float
+    relit: Float
+
+
+def difference(rgb: Image, view: TableView) -> Difference:
     """Score every pixel by how far its colour lies outside what the table could show there.
 
     Logarithms of colours are compared, so that light is a sum; it is fitted as a quadratic over the image. The table
@@ -36,12 +52,11 @@ def difference(rgb: Image, view: TableView) -> Float:
         rgb: (H, W, 3) the image.
         view: the empty table in the same camera.
 
-    Returns:
-        (H, W) float32 in deviations of the table's own residual; 0 where no object can be.
     """
     image = _log(rgb)
     table = _log(view.rgb)
-    table += _light(image - table, view.seen)
+    light = _light(image - table, view.seen)
+    table += light
     sigma = _deviation((image - table)[view.seen]) if view.seen.any() else np.full(3, _LEAST_SIGMA, np.float32)
     kernel = np.ones((3, 3), np.uint8)
     low, high = _float(cv2.erode(table, kernel)), _float(cv2.dilate(table, kernel))
@@ -56,7 +71,9 @@ def difference(rgb: Image, view: TableView) -> Float:
     possible, certain = relit(image - table, table, view.seen, float(sigma.mean()))
     score[possible] *= _POSSIBLY_RELIT
     score[certain | ~view.reach] = 0
-    return score.astype(np.float32)
+    # Far from the table that it was fitted to, the light is a guess.
+    relit_rgb = (rgb.astype(np.float32) + _LOG_OFFSET) * np.exp(-light.clip(-_MOST_LIGHT, _MOST_LIGHT)) - _LOG_OFFSET
+    return Difference(score.astype(np.float32), relit_rgb.astype(np.float32))
 
 
 def _log(rgb: Image) -> Float:

@@ -168,7 +168,9 @@ def _voxels(reliefs: Sequence[Relief]) -> Voxels:
     seen = np.zeros((n, len(reliefs)), bool)
     seen[of_pixel, frame_of] = True
     pairs, face = _neighbours(keys, stride)
-    return Voxels(of_pixel, frame_of, center, np.bincount(of_pixel, angles, n) / counts, parts, elsewhere, seen, pairs, face, cell)
+    return Voxels(
+        of_pixel, frame_of, center, np.bincount(of_pixel, angles, n) / counts, parts, elsewhere, seen, pairs, face, cell
+    )
 
 
 def _pixel_m(relief: Relief) -> float:
@@ -178,12 +180,13 @@ def _pixel_m(relief: Relief) -> float:
 
 def _part_numbers(smooth: Mask, things: Mask) -> tuple[NDArray[np.int64], Mask]:
     """(H, W) connected parts, -1 off them and where they are small; and by number, whether most of it is no thing."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(smooth.astype(np.uint8), connectivity=4)
+    _, found, stats, _ = cv2.connectedComponentsWithStats(smooth.astype(np.uint8), connectivity=4)
+    labels = found.astype(np.int64)
     sizes = stats[:, cv2.CC_STAT_AREA]
     large = sizes >= _LEAST_PART_PX
     large[0] = False
     beyond = np.bincount(labels[things], minlength=len(sizes)) < _ON_TABLE * sizes
-    return np.where(large[labels], labels, -1).astype(np.int64), beyond
+    return np.where(large[labels], labels, -1), beyond
 
 
 def _most_common(groups: NDArray[np.int64], values: NDArray[np.int64], count: int) -> NDArray[np.int64]:

@@ -103,4 +103,3 @@ def _smoothed(height: Float, where: Mask) -> Float:
     weight = where.astype(np.float32)
     total = cv2.GaussianBlur(height * weight, (0, 0), _SMOOTH_PX)
     return total / np.maximum(cv2.GaussianBlur(weight, (0, 0), _SMOOTH_PX), 1e-3)
-

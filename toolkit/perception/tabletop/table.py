@@ -31,7 +31,7 @@ _OFTEN = 0.05
 """A table carries things: with this share of the attention on them, a plane's claim is full."""
 
 _UPPER, _LEAST_CARRIED = 0.35, 0.01
-"""Of planes one above the other the upper is the table if it has this part of the lower one's claim and carries things."""
+"""The upper of two planes is the table if its claim is this part of the lower one's and it carries things."""
 
 _PARALLEL, _ABOVE_M = np.cos(np.radians(10)), 0.03
 _NEAR_M = 0.012
@@ -228,10 +228,11 @@ def _outline(frames: Sequence[Frame], planes: Sequence[Plane | None], T_world_ta
     points = np.concatenate(bare)
     low = points.min(axis=0) - 2 * _OPENED * _CELL_M
     size = np.floor((points.max(axis=0) - low) / _CELL_M).astype(np.int64) + 2 * _OPENED
-    surface = cv2.morphologyEx(_grid(points, low, size), cv2.MORPH_CLOSE, np.ones((_CLOSED, _CLOSED), np.uint8))
-    opened = cv2.morphologyEx(surface, cv2.MORPH_OPEN, np.ones((_OPENED, _OPENED), np.uint8))
-    surface = opened if opened.any() else surface
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(surface)
+    closed = cv2.morphologyEx(_grid(points, low, size), cv2.MORPH_CLOSE, np.ones((_CLOSED, _CLOSED), np.uint8))
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, np.ones((_OPENED, _OPENED), np.uint8))
+    surface = np.asarray(opened if opened.any() else closed, np.uint8)
+    _, found, stats, _ = cv2.connectedComponentsWithStats(surface)
+    parts = found.astype(np.int64)
     sizes = stats[:, cv2.CC_STAT_AREA]
     sizes[0] = 0
     # A crumb behind the table at its height is a chair's; a large part behind things is the table's.

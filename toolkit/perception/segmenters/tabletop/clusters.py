@@ -94,7 +94,7 @@ def _plan_labels(plan: Float, cell: float) -> NDArray[np.int32]:
 
 
 def _supported(labels: NDArray[np.int32], core: Mask, inside: Mask, heights: Float) -> NDArray[np.bool_]:
-    """(n + 1,) which clusters stand on the table: most of their plan lies inside its outline, and they come down to it."""
+    """(n + 1,) which clusters stand on the table: mostly inside its outline, and coming down to it."""
     count = int(labels.max(initial=0)) + 1
     members = labels[core]
     sizes = np.maximum(np.bincount(members, minlength=count), 1)

@@ -1,0 +1,86 @@
+"""The goal image explained by rendering the current scene's own objects into it."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from toolkit.perception.explainers.searching.evidence import MOST_COST, evidence
+from toolkit.perception.explainers.searching.hypotheses import Searcher
+from toolkit.perception.explainers.searching.jointly import Candidate, compose, explain_jointly
+from toolkit.perception.explainers.searching.renderings import render
+from toolkit.perception.explainers.searching.segments import object_masks, unexplained
+from toolkit.perception.explainers.searching.trust import trust
+from toolkit.perception.explanation import ExplainTask, Explanation, Placement
+from toolkit.perception.tabletop.appearance import render_table, scan_table
+from toolkit.perception.tabletop.difference import difference
+from toolkit.registry import Plugin, PluginConfig
+from toolkit.types import Float, Frame, Segment
+
+_FOREGROUND = 4.0
+"""Deviations from the empty table's look: what lies beside an object and differs so much belongs to it."""
+
+
+class PerchConfig(PluginConfig):
+    """Settings of `perch`."""
+
+    pixel_mm: float = Field(3.0, gt=0, description="Size on the table of a pixel of the image that is explained.")
+    step_mm: float = Field(25.0, gt=0, description="Distance between the places on the table that are tried.")
+    yaws: int = Field(24, ge=1, description="Turns about the vertical that are tried at every place.")
+    kept: int = Field(6, ge=1, description="Places of an object that compete, besides the one where it stands now.")
+    min_pixels: int = Field(60, ge=1, description="Objects of which the goal shows fewer pixels are left out.")
+
+
+class Perch(Plugin):
+    """Perception via search (Narayanan and Likhachev, ICRA 2016): which objects, placed where, would look like this?
+
+    Every instance is rendered where it stands now and all over the table; the hypotheses that together explain the
+    whole image best are chosen, each instance once at most, hidden behind each other as they would be. Masks are what
+    comes out, so that touching objects part where their models say. What no model explains is unknown.
+    """
+
+    stage = "explainer"
+    name = "perch"
+    Config = PerchConfig
+    config: PerchConfig
+
+    def explain(self, task: ExplainTask) -> Explanation:
+        """Explain a goal image; raises ToolkitError where no current frame's depth shows a table."""
+        scan = scan_table(task.models.frames)
+        view = render_table(scan, task.goal.camera)
+        found = difference(task.goal.rgb, view)
+        factor = self._factor(task.goal, scan.table.T_world_table)
+        coarse, fine = (evidence(task.goal, found, view.table, f) for f in (2 * factor, factor))
+        searcher = Searcher(
+            scan.table, task.goal.camera, coarse, fine, self.config.step_mm / 1e3, self.config.yaws, self.config.kept
+        )
+        candidates = {
+            instance: [
+                Candidate(T, hypothesis.moved, render(model, T, task.goal.camera, fine))
+                for hypothesis in searcher.search(model)
+                for T in [searcher.motion(model, hypothesis)]
+            ]
+            for instance, model in task.models.usable().items()
+        }
+        background = np.minimum(fine.background.ravel(), MOST_COST)
+        chosen = explain_jointly(candidates, background)
+        drawn = compose(chosen, background)
+        masks = object_masks(
+            drawn.owner.reshape(fine.background.shape), factor, task.goal.rgb, found.score > _FOREGROUND
+        )
+        masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}
+        placements = tuple(
+            Placement(
+                instance,
+                chosen[instance].T_goal_current,
+                Segment(mask, instance=instance),
+                trust(instance, chosen, candidates[instance], background),
+            )
+            for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax()))
+        )
+        return Explanation(placements, unexplained(task.segments, masks))
+
+    def _factor(self, goal: Frame, T_world_table: Float) -> int:
+        """Pixels of the goal image that are one pixel of the explained one."""
+        distance = float(np.linalg.norm(goal.camera.T_world_camera[:3, 3] - T_world_table[:3, 3]))
+        return max(1, round(self.config.pixel_mm / 1e3 * float(goal.camera.K[0, 0]) / distance))

@@ -1,0 +1,77 @@
+"""The goal image at one scale: its colours in the current scene's light, and what the empty table would cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from toolkit.perception.tabletop.difference import Difference
+from toolkit.types import Camera, Float, Frame, Mask
+
+MOST_COST = 9.0
+"""Cost of a pixel that nothing explains: three deviations, squared."""
+
+UNSEEN_COST = 5.0
+"""Cost of a pixel where a model shows a side that no frame has seen."""
+
+_BEYOND_COST = 1.5
+"""Cost of a pixel beyond the table, whose background may look like anything."""
+
+_OBJECT_SCORE = 8.0
+"""A score of `difference` that is as good as certain not to be table."""
+
+_DEVIATIONS = np.array([22.0, 12.0, 12.0], np.float32)
+"""Grey levels by which brightness, red against green and yellow against blue of one surface differ between images."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A goal image to be explained.
+
+    Attributes:
+        colours: (H, W, 3) float32, in deviations (`scaled`).
+        background: (H, W) float32 cost of the empty table, and of what is beyond, as explanation of each pixel.
+        K: (3, 3) intrinsics at this scale.
+        factor: pixels of the goal image to a pixel here.
+    """
+
+    colours: Float
+    background: Float
+    K: Float
+    factor: int
+
+
+def scaled(rgb: Float) -> Float:
+    """(..., 3) float32 opponent colours of (..., 3) RGB, in deviations of one surface between images."""
+    r, g, b = np.moveaxis(np.asarray(rgb, np.float32), -1, 0)
+    return np.stack([(r + g + b) / 3, (r - g) / 2, (r + g) / 4 - b / 2], axis=-1) / _DEVIATIONS
+
+
+def evidence(goal: Frame, found: Difference, surface: Mask, factor: int) -> Evidence:
+    """Prepare a goal image.
+
+    Args:
+        goal: the goal image.
+        found: how it differs from the empty table.
+        surface: (H, W) bool, where it shows the table's surface.
+        factor: pixels of it that are joined along each side.
+    """
+    height, width = surface.shape
+    size = (width // factor, height // factor)
+    smooth = np.asarray(cv2.GaussianBlur(found.relit, (0, 0), 0.5 * factor), np.float32)
+    colours = cv2.resize(scaled(smooth), size, interpolation=cv2.INTER_AREA)
+    cost = np.minimum((found.score / _OBJECT_SCORE) ** 2 * MOST_COST, MOST_COST)
+    cost = np.where(surface, cost, _BEYOND_COST).astype(np.float32)
+    background = cv2.resize(cost, size, interpolation=cv2.INTER_AREA)
+    return Evidence(
+        np.asarray(colours, np.float32), np.asarray(background, np.float32), _scaled_K(goal.camera, factor), factor
+    )
+
+
+def _scaled_K(camera: Camera, factor: int) -> Float:
+    K = np.array(camera.K)
+    K[:2] /= factor
+    K[:2, 2] += 0.5 / factor - 0.5
+    return K

@@ -1,0 +1,170 @@
+"""Where an instance may stand in the goal image: where it stands now, and the best places all over the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from toolkit.geometry import invert, make_transform, rotation_z
+from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence, scaled
+from toolkit.perception.explainers.searching.scores import Sample, score_motions
+from toolkit.perception.fusion import FusedModel
+from toolkit.perception.tabletop.table import Table
+from toolkit.types import Camera, Float
+
+_POINTS, _FINE_POINTS = 192, 512
+_FOREGROUND = 0.1
+"""Places around which less of the image than this is foreground are not tried."""
+
+_DISTINCT_M, _DISTINCT_RAD = 0.03, 0.5
+_LEVELS = ((0.012, 0.13), (0.005, 0.05), (0.002, 0.02))
+"""Steps in metres and radians by which a hypothesis is moved while it gains."""
+
+_MOVES = 3
+_STILL_M, _STILL_RAD = 0.004, 0.03
+"""A hypothesis this close to where the object stands now is that it was not moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A planar motion: a turn about the vertical through the object's centre, radians, and a (2,) shift, metres."""
+
+    turn: float
+    shift: Float
+
+    @property
+    def moved(self) -> bool:
+        """Whether the object would stand elsewhere than now."""
+        return abs(_wrapped(self.turn)) > _STILL_RAD or float(np.hypot(*self.shift)) > _STILL_M
+
+
+@dataclass(frozen=True, eq=False)
+class Searcher:
+    """What the hypotheses of one goal image share.
+
+    Attributes:
+        table: the table.
+        camera: the goal image's.
+        coarse: the image, for places all over the table.
+        fine: the image, for the last millimetres.
+        step: metres between the places tried.
+        yaws: turns tried at each.
+        kept: hypotheses kept, besides that it was not moved.
+    """
+
+    table: Table
+    camera: Camera
+    coarse: Evidence
+    fine: Evidence
+    step: float
+    yaws: int
+    kept: int
+
+    @property
+    def T_camera_table(self) -> Float:
+        """(4, 4)."""
+        return invert(self.camera.T_world_camera) @ self.table.T_world_table
+
+    def search(self, model: FusedModel) -> list[Hypothesis]:
+        """Hypotheses of an instance, that it was not moved first; the others by falling score."""
+        center = transform_to(self.table, model.center)
+        still = Hypothesis(0.0, np.zeros(2))
+        places = self._places(center, _radius(model))
+        found = [still]
+        if len(places):
+            turns = np.arange(self.yaws) * 2 * np.pi / self.yaws
+            yaw, place = np.repeat(turns, len(places)), np.tile(places, (self.yaws, 1))
+            scores = score_motions(self._sample(model, _POINTS), yaw, place, self.coarse, self.T_camera_table)
+            found += self._peaks(yaw, place[:, :2] - center[:2], scores)
+        return [still, *self._polished(model, center, found)]
+
+    def motion(self, model: FusedModel, hypothesis: Hypothesis) -> Float:
+        """(4, 4) T_goal_current of a hypothesis, in world coordinates."""
+        center = transform_to(self.table, model.center)
+        R = rotation_z(hypothesis.turn)[:3, :3]
+        planar = make_transform(R, center + np.append(hypothesis.shift, 0.0) - R @ center)
+        T = self.table.T_world_table
+        return T @ planar @ invert(T)
+
+    def _places(self, center: Float, radius: float) -> Float:
+        """(N, 3) places of the centre on the table around which the goal image shows something."""
+        low, high = self.table.outline.min(axis=0), self.table.outline.max(axis=0)
+        x, y = (np.arange(a, b, self.step) for a, b in zip(low, high, strict=True))
+        plan = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        plan = plan[self.table.holds(plan)]
+        places = np.column_stack([plan, np.full(len(plan), center[2])])
+        T, K = self.T_camera_table, self.coarse.K
+        camera = places @ T[:3, :3].T + T[:3, 3]
+        ahead = camera[:, 2] > 1e-2
+        places, camera = places[ahead], camera[ahead]
+        pixels = np.rint(camera[:, :2] / camera[:, 2:] * np.diagonal(K)[:2] + K[:2, 2]).astype(np.int64)
+        height, width = self.coarse.background.shape
+        inside = (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
+        places, camera, pixels = places[inside], camera[inside], pixels[inside]
+        if not len(places):
+            return places
+        side = 2 * max(1, round(radius * K[0, 0] / float(np.median(camera[:, 2])))) + 1
+        foreground = (self.coarse.background > MOST_COST / 3).astype(np.float32)
+        around = cv2.blur(foreground, (side, side), borderType=cv2.BORDER_CONSTANT)
+        return places[around[pixels[:, 1], pixels[:, 0]] > _FOREGROUND]
+
+    def _sample(self, model: FusedModel, count: int) -> Sample:
+        rows = np.random.default_rng(0).permutation(len(model.points))[:count]
+        R = self.table.T_world_table[:3, :3]
+        padding = count - len(rows)
+        arrays = (
+            (model.points[rows] - model.center) @ R,
+            model.normals_at(rows) @ R,
+            scaled(model.colors[rows]),
+            np.ones(len(rows)),
+        )
+        return Sample(*(np.pad(a, ((0, padding), *[(0, 0)] * (a.ndim - 1))).astype(np.float32) for a in arrays))
+
+    def _peaks(self, turns: Float, shifts: Float, scores: Float) -> list[Hypothesis]:
+        kept: list[Hypothesis] = []
+        for i in np.argsort(-scores, kind="stable")[: 100 * self.kept]:
+            near = [
+                h
+                for h in kept
+                if np.hypot(*(h.shift - shifts[i])) < _DISTINCT_M and abs(_wrapped(h.turn - turns[i])) < _DISTINCT_RAD
+            ]
+            if not near:
+                kept.append(Hypothesis(float(turns[i]), shifts[i]))
+            if len(kept) == self.kept:
+                break
+        return kept
+
+    def _polished(self, model: FusedModel, center: Float, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Each moved step by step to where its score is greatest, all of them at once."""
+        sample, count = self._sample(model, _FINE_POINTS), len(hypotheses)
+        turns, shifts = np.array([h.turn for h in hypotheses]), np.array([h.shift for h in hypotheses])
+        steps = np.stack(np.meshgrid(*[(0, -1, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        for metres, radians in _LEVELS:
+            for _ in range(_MOVES):
+                yaw = turns[:, None] + steps[:, 0] * radians
+                shift = shifts[:, None] + steps[:, 1:] * metres
+                place = np.concatenate([center[:2] + shift, np.full((*yaw.shape, 1), center[2])], axis=2)
+                flat = score_motions(sample, yaw.ravel(), place.reshape(-1, 3), self.fine, self.T_camera_table)
+                best = flat.reshape(yaw.shape).argmax(axis=1)
+                turns, shifts = yaw[np.arange(count), best], shift[np.arange(count), best]
+                if not best.any():
+                    break
+        return [Hypothesis(float(turn), shift) for turn, shift in zip(turns, shifts, strict=True)]
+
+
+def transform_to(table: Table, point: Float) -> Float:
+    """(3,) a world point in the table's frame."""
+    T = table.T_world_table
+    return T[:3, :3].T @ (point - T[:3, 3])
+
+
+def _radius(model: FusedModel) -> float:
+    """Metres: how far an object reaches to the side, about."""
+    return float(np.median(np.linalg.norm(model.points - model.center, axis=1)))
+
+
+def _wrapped(angle: Any) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,63 @@
+"""What a moved model would show in the goal image, pixel by pixel, and what each pixel would cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import invert
+from toolkit.perception.explainers.searching.evidence import MOST_COST, UNSEEN_COST, Evidence, scaled
+from toolkit.perception.fusion import FusedModel
+from toolkit.types import Camera, Float
+
+_POINTS = 6000
+_SPACING_M = 0.0035
+"""Points are about this far apart, and each covers the pixels around it."""
+
+_GRAZING = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """The pixels a model would cover.
+
+    Attributes:
+        pixels: (P,) int64 row-major index.
+        depth: (P,) metres.
+        cost: (P,) of the model as explanation of them.
+    """
+
+    pixels: NDArray[np.int64]
+    depth: Float
+    cost: Float
+
+
+def render(model: FusedModel, T_goal_current: Float, camera: Camera, goal: Evidence) -> Rendering:
+    """Draw a model as the goal camera would see it once it is moved; its points hide those behind them."""
+    rows = np.random.default_rng(0).permutation(len(model.points))[:_POINTS]
+    T = invert(camera.T_world_camera) @ T_goal_current
+    points = model.points[rows] @ T[:3, :3].T + T[:3, 3]
+    normals = model.normals_at(rows) @ T[:3, :3].T
+    depth = points[:, 2]
+    ahead = depth > 1e-2
+    pixels = points[:, :2] / np.where(ahead, depth, 1.0)[:, None] * np.diagonal(goal.K)[:2] + goal.K[:2, 2]
+    spacing = _SPACING_M * max(1.0, np.sqrt(len(model.points) / _POINTS))
+    reach = max(0, int(np.ceil(spacing * goal.K[0, 0] / max(float(np.median(depth)), 1e-2) / 2 - 0.5)))
+    height, width = goal.background.shape
+    steps = np.array([(x, y) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
+    cells = np.rint(pixels).astype(np.int64)[:, None] + steps
+    inside = ahead[:, None] & (cells >= 0).all(axis=2) & (cells < [width, height]).all(axis=2)
+    index = (cells[..., 1] * width + cells[..., 0])[inside]
+    # Of two points of one surface that reach a pixel the one that is centred on it shows its colour.
+    order_depth = (depth[:, None] + 1e-4 * np.abs(steps).sum(axis=1))[inside]
+    source = np.broadcast_to(np.arange(len(rows))[:, None], inside.shape)[inside]
+    order = np.lexsort((order_depth, index))
+    index, source = index[order], source[order]
+    first = np.flatnonzero(np.r_[True, index[1:] != index[:-1]][: len(index)])
+    index, source = index[first], source[first]
+    gap = goal.colours.reshape(-1, 3)[index] - scaled(model.colors[rows])[source]
+    cost = np.minimum((gap * gap).sum(axis=1), MOST_COST)
+    front = -(normals * points).sum(axis=1) > _GRAZING * np.linalg.norm(points, axis=1)
+    return Rendering(index, depth[source], np.where(front[source], cost, UNSEEN_COST))
