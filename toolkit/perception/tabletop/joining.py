@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.spatial import KDTree
 
 from toolkit.perception.tabletop.table import inside_convex
 from toolkit.types import Float, Image
@@ -20,16 +22,22 @@ _CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
 _ALIKE, _MORE_ALIKE = 0.45, 0.5
 """Histogram intersection of two pieces of one colour: where one lies within the other, and where they only touch."""
 
-_WITHIN = 0.6
-_SHALLOW_DEG, _SMOOTH_DEG = 42.0, 24.0
-"""Mean angle along a border that pieces of one colour may have, and one that is none whatever the colours."""
+_WITHIN, _COMPACT = 0.6, 1.25
+"""Share of a piece inside another's outline; and how much larger the outline of both is than theirs together."""
+
+_BENT_DEG, _SHALLOW_DEG, _SMOOTH_DEG = 55.0, 42.0, 24.0
+"""Mean angle along a border that pieces of one colour may have where they make a compact whole, and where they need
+not; and one that is none whatever the colours."""
+
+_GAP_M, _PROBES = 0.02, 400
+"""Pieces that do not touch are looked at together up to this far: a rim seen edge-on has no depth."""
 
 
 @dataclass
 class _Piece:
     histogram: Float
     area: float
-    plan: Float
+    points: Float
 
 
 def join_pieces(
@@ -59,7 +67,7 @@ def join_pieces(
     if not count:
         return pieces
     known = _make(pieces, center, voxel_of_pixel, colours, cell, count)
-    borders = _borders(pieces, pairs, concave, count)
+    borders = _gaps(known) | _borders(pieces, pairs, concave, count)
     owner = np.arange(count)
     while True:
         options = [(gain, a, b) for (a, b), border in borders.items() if (gain := _gain(known[a], known[b], border))]
@@ -70,7 +78,7 @@ def join_pieces(
         known[a] = _Piece(
             known[a].histogram + known[b].histogram,
             known[a].area + known[b].area,
-            np.concatenate([known[a].plan, known[b].plan]),
+            np.concatenate([known[a].points, known[b].points]),
         )
         joined: dict[tuple[int, int], tuple[int, float]] = {}
         for (i, j), (length, angles) in borders.items():
@@ -93,8 +101,7 @@ def _make(
     flat = np.bincount(owner[seen] * _LEVELS**3 + bins[seen], minlength=count * _LEVELS**3).astype(np.float64)
     cubes = gaussian_filter(flat.reshape(count, _LEVELS, _LEVELS, _LEVELS), (0, *[_SMOOTH_BINS] * 3))
     areas = np.bincount(pieces[pieces >= 0], minlength=count) * cell**2
-    plans = [center[pieces == k, :2] for k in range(count)]
-    return [_Piece(cubes[k].ravel(), float(areas[k]), plans[k]) for k in range(count)]
+    return [_Piece(cubes[k].ravel(), float(areas[k]), center[pieces == k]) for k in range(count)]
 
 
 def _borders(
@@ -115,20 +122,48 @@ def _borders(
 def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
     """How much speaks for one object; 0 where nothing does."""
     small, large = (a, b) if a.area < b.area else (b, a)
+    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
+    if not border[0]:
+        return alike if alike > _ALIKE and _within(small.points, large.points) > _WITHIN else 0.0
     if small.area < _CRUMB_M2 or small.area < _CRUMB_SHARE * large.area:
         return 2 + border[0] / (1 + border[0])
     angle = border[1] / border[0]
     if angle < _SMOOTH_DEG:
         return 1 + (_SMOOTH_DEG - angle) / _SMOOTH_DEG
-    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
-    if alike > _MORE_ALIKE and angle < _SHALLOW_DEG:
-        return alike
-    if alike > _ALIKE and _within(small.plan, large.plan) > _WITHIN:
-        return alike
-    return 0.0
+    one_colour = (
+        (alike > _MORE_ALIKE and angle < _SHALLOW_DEG)
+        or (alike > _MORE_ALIKE and angle < _BENT_DEG and _spread(a.points, b.points) < _COMPACT)
+        or (alike > _ALIKE and _within(small.points, large.points) > _WITHIN)
+    )
+    return alike if one_colour else 0.0
+
+
+def _gaps(known: list[_Piece]) -> dict[tuple[int, int], tuple[int, float]]:
+    """Pairs of pieces that are close to each other, as borders of no length."""
+    large = [k for k, piece in enumerate(known) if piece.area >= _CRUMB_M2]
+    some = {k: known[k].points[:: max(len(known[k].points) // _PROBES, 1)] for k in large}
+    trees = {k: KDTree(points) for k, points in some.items()}
+    return {
+        (i, j): (0, 0.0)
+        for i, j in combinations(large, 2)
+        if np.isfinite(trees[i].query(some[j], distance_upper_bound=_GAP_M)[0]).any()
+    }
+
+
+def _outline(points: Float) -> Float:
+    """(M, 2) convex hull of (N, 3) points seen from above."""
+    return np.asarray(cv2.convexHull(points[:, :2].astype(np.float32))[:, 0], np.float64)
 
 
 def _within(small: Float, large: Float) -> float:
-    """Share of the first plan (N, 2) inside the convex hull of the second."""
-    hull = np.asarray(cv2.convexHull(large.astype(np.float32))[:, 0], np.float64)
-    return float(inside_convex(hull, small).mean()) if len(hull) > 2 else 0.0
+    """Share of the first points inside the outline of the second."""
+    hull = _outline(large)
+    return float(inside_convex(hull, small[:, :2]).mean()) if len(hull) > 2 else 0.0
+
+
+def _spread(a: Float, b: Float) -> float:
+    """How much larger the outline of both is than their outlines together."""
+    whole, one, other = (
+        float(cv2.contourArea(_outline(points).astype(np.float32))) for points in (np.concatenate([a, b]), a, b)
+    )
+    return whole / max(one + other, 1e-9)

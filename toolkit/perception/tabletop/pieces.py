@@ -37,7 +37,7 @@ _LEAST_CORE_M2 = 1.5e-4
 _TOUCH_M = 0.04
 """What hovers higher than this above the table with all its visible parts does not stand on it."""
 
-_LEAST_OBJECT_M2 = 2e-4
+_LEAST_OBJECT_M2 = 3e-4
 """Less surface than this, all frames together, is noise."""
 
 _SEEN_THROUGH_M, _NOISES = 0.01, 4.0

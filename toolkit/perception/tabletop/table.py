@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -39,6 +39,7 @@ _CELL_M, _CLOSED, _OPENED = 0.01, 5, 3
 """Cells of the plan, and how many of them a gap may be wide, and a spur that is not the table's."""
 
 _LEAST_PART = 0.1
+_RASTER_M = 0.005
 
 _NOISES, _LEAST_M = 4.0, 0.004
 
@@ -64,8 +65,24 @@ class Table:
         return [(frame, plane) for frame, plane in zip(self.frames, self.planes, strict=True) if plane is not None]
 
     def holds(self, xy: Float) -> Mask:
-        """(...,) bool: which (..., 2) places in the table's frame lie within its outline."""
-        return inside_convex(self.outline, xy.reshape(-1, 2)).reshape(xy.shape[:-1])
+        """(...,) bool: which (..., 2) places in the table's frame lie within its outline, to half a centimetre."""
+        low, grid = self._raster
+        cells = np.floor((xy - low) / _RASTER_M).astype(np.int32)
+        size = np.array(grid.shape)
+        inside = (cells >= 0).all(axis=-1) & (cells < size).all(axis=-1)
+        held = np.zeros(inside.shape, bool)
+        held[inside] = grid[tuple(cells[inside].T)]
+        return held
+
+    @cached_property
+    def _raster(self) -> tuple[Float, Mask]:
+        """Corner of the plan's first cell, metres, and which cells lie within the outline."""
+        low = self.outline.min(axis=0) - _RASTER_M
+        size = np.ceil((self.outline.max(axis=0) - low) / _RASTER_M).astype(np.int64) + 1
+        grid = np.zeros(size.tolist(), np.uint8)
+        corners = np.rint((self.outline - low) / _RASTER_M - 0.5).astype(np.int32)
+        cv2.fillConvexPoly(grid, np.ascontiguousarray(corners[:, ::-1]), 1)
+        return low, grid > 0
 
     def surface(self, camera: Camera, levels: Sequence[float] = (0.0,)) -> Mask:
         """(H, W) bool: where a camera sees the table, or what reaches up to the highest of the levels (metres)."""
