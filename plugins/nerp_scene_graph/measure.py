@@ -123,7 +123,7 @@ def main() -> None:
     options = parser.parse_args()
     choices = {**CHOICES, "descriptor": options.descriptor}
     pipeline = Pipeline(Stages(**{slot: REGISTRIES[stage].create(choices[slot]) for slot, stage in SLOTS.items()}))
-    print("| scenes | decided by | objects | right | more than render_compare, points | ms a scene |")
+    print("| scenes | decided by | objects | right | more than render_compare, points | ms per scene |")
     print("| --- | --- | --- | --- | --- | --- |")
     for folder in options.datasets:
         found: dict[str, list[bool]] = {}
