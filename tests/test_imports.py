@@ -35,7 +35,7 @@ HEAVY = {
 }
 """What no command imports before it needs it: the budget of the start, without a clock."""
 
-JOINING = {"perception": {"pipeline"}, "rearrangement": {"sight", "episode"}}
+JOINING = {"perception": {"parts", "ranking", "search", "scene", "pipeline"}, "rearrangement": {"sight", "episode"}}
 
 
 def layer(part: str) -> int:

@@ -124,7 +124,9 @@ def main() -> None:
         f"milliseconds of CPU; right: within {RIGHT_PX:g} px in the goal image and on the side it shows, "
         "of the matches where depth is whole.\n"
     )
-    print("| matcher | pairs | extract, ms per crop | match, ms per pair | matches per pair | right per pair | share right |")
+    print(
+        "| matcher | pairs | extract, ms per crop | match, ms per pair | matches per pair | right per pair | share right |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- |", flush=True)
     for name, matcher in ready.items():
         with Progress(Console(stderr=True)).step(name, len(pairs)) as advance:
