@@ -125,9 +125,11 @@ def main() -> None:
         "of the matches where depth is whole.\n"
     )
     print(
-        "| matcher | pairs | extract, ms per crop | match, ms per pair | matches per pair | right per pair | share right |"
+        "| matcher | pairs | extract, ms per crop | match, ms per pair | matches per pair "
+        "| right per pair | share right |\n"
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        flush=True,
     )
-    print("| --- | --- | --- | --- | --- | --- | --- |", flush=True)
     for name, matcher in ready.items():
         with Progress(Console(stderr=True)).step(name, len(pairs)) as advance:
             result = tally(matcher, pairs, advance)

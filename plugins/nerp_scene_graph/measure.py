@@ -1,4 +1,4 @@
-"""Goal objects given their right instance, by who decides. Prints Markdown.
+"""How many goal objects are given their right instance, for every way to decide. Prints Markdown.
 
     toolkit dataset build twins --scenes 20 --seed 0 --set lookalikes=twins --set min_objects=2
     python plugins/nerp_scene_graph/measure.py twins

@@ -1,4 +1,4 @@
-"""Pose errors, plain and symmetry-aware, and which segment answers for which object (DESIGN 8)."""
+"""Pose errors, plain and symmetry-aware, and which segment answers for which object."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ _STD = (0.229, 0.224, 0.225)
 """Colours as ImageNet's networks expect them."""
 
 _WINDOWS = (1, 2)
-"""Windows of attention a side, at 1/8 and at 1/4. Published are 2 and 8, for film; on crops of 160 pixels such windows
-see too little (five features a side), and flow ends up at the nearest multiple of 8 pixels.
+"""Windows of attention per side, at 1/8 and at 1/4. Published are 2 and 8, for films; on crops of 160 pixels such
+windows see too little (five features per side), and flow ends up at the nearest multiple of 8 pixels.
 """
 
 

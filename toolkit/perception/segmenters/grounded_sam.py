@@ -22,12 +22,12 @@ _LEAST_LEFT = 0.5
 class GroundedSamConfig(PluginConfig):
     """Settings of the `grounded_sam` segmenter."""
 
-    prompt: str = Field("objects", min_length=1, description="What to find; several things are parted by full stops.")
+    prompt: str = Field("objects", min_length=1, description="What to find; full stops separate several things.")
     box_threshold: float = Field(0.25, ge=0, le=1, description="Least score of a box.")
-    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word a box stands for.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
-    detector: Path | None = Field(None, description="Folder of a Grounding DINO of your own, as transformers saves it.")
-    sam: Path | None = Field(None, description="Folder of a SAM of your own, as transformers saves it.")
+    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word that a box stands for.")
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
+    detector: Path | None = Field(None, description="Folder with your own Grounding DINO, as transformers saves it.")
+    sam: Path | None = Field(None, description="Folder with your own SAM, as transformers saves it.")
     device: str = Field("cpu", description="Torch device.")
 
 

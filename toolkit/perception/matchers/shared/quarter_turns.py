@@ -17,7 +17,9 @@ from toolkit.types import Crop, Float, Matches
 class TurningConfig(PluginConfig):
     """Settings that every matcher with turns has."""
 
-    rotations: Literal[1, 4] = Field(1, description="Turns of the goal crop tried, a quarter each; the best is kept.")
+    rotations: Literal[1, 4] = Field(
+        1, description="Number of quarter turns of the goal crop that are tried; the one that matches best is kept."
+    )
 
 
 @dataclass(eq=False)
