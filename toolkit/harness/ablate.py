@@ -1,4 +1,4 @@
-"""Runs the cells of an experiment on the same scenes and writes rows, summary, pictures and report (DESIGN 9)."""
+"""Runs the cells of an experiment on the same scenes and writes rows, summary, pictures and report."""
 
 from __future__ import annotations
 
