@@ -97,7 +97,7 @@ class Transformer(nn.Module):
         self.layers = nn.ModuleList(Layer() for _ in range(6))
 
     def forward(self, a: Tensor, b: Tensor, windows: int) -> tuple[Tensor, Tensor]:
-        """(B, C, H, W) twice; attention stays within windows, that many a side, which every other layer shifts."""
+        """(B, C, H, W) twice; attention stays within `windows` windows per side, which every other layer shifts."""
         x = torch.cat([a, b]).permute(0, 2, 3, 1)
         height, width = x.shape[1:3]
         x = x + positions(height // windows, width // windows).to(x).repeat(windows, windows, 1)

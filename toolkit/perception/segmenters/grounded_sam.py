@@ -16,7 +16,7 @@ from toolkit.types import Frame, Mask, Segment
 from toolkit.weights.resolve import file_digest, resolve_folder
 
 _LEAST_LEFT = 0.5
-"""A mask that better ones leave less of than this part is the same object again, or a group of objects."""
+"""A mask of which better masks leave less than this share shows the same object again, or a group of objects."""
 
 
 class GroundedSamConfig(PluginConfig):
@@ -97,7 +97,7 @@ class GroundedSamSegmenter(Plugin):
 
 
 def disjoint(masks: Mask, scores: np.ndarray, min_pixels: int) -> list[Segment]:
-    """Part masks that overlap: the better ones keep what they have, and what is left of a mask is its segment.
+    """Make masks that overlap disjoint: better ones keep what they have, and what is left of a mask is its segment.
 
     Args:
         masks: (N, H, W) bool.

@@ -1,4 +1,4 @@
-"""Quarter turns of the query, for matchers that stand little in-plane rotation."""
+"""Quarter turns of the query, for matchers that tolerate little in-plane rotation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class TurningMatcher(Plugin):
         return [Oriented(*pair) for pair in zip(crops, self.extract_upright(crops), strict=True)]
 
     def match(self, query: Oriented, references: Sequence[Oriented]) -> list[Matches]:
-        """Match every turn of the query to all references; of each reference, the turn with most score is kept."""
+        """Match every turn of the query to all references; for each, the turn with most score is kept."""
         assert isinstance(self.config, TurningConfig)
         if not query.turned and self.config.rotations > 1:
             query.turned += self.extract_upright([turn(query.crop, k) for k in range(1, self.config.rotations)])
