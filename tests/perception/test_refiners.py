@@ -23,7 +23,7 @@ from toolkit.perception.fusion import FusedModel, Models, Patch, RefineTask, Sta
 from toolkit.perception.jax_geometry import rotation_exp
 from toolkit.perception.lighting import estimate_light, relit
 from toolkit.perception.pipeline import Pipeline, PipelineSettings
-from toolkit.perception.refiners import align as alignment
+from toolkit.perception.refiners.comparing import align as alignment
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.combine import _about, combine
 from toolkit.perception.refiners.comparing.compare import Hypothesis
