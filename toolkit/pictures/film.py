@@ -15,7 +15,7 @@ import trimesh
 from trimesh.visual.material import PBRMaterial
 
 from toolkit.data.objects import ObjectAsset
-from toolkit.data.tabletop import TabletopScene, home_camera
+from toolkit.data.tabletop import TabletopScene
 from toolkit.errors import ToolkitError
 from toolkit.pictures.recording import load_rerun, log_box, log_camera, log_picture, recording
 from toolkit.types import Float, Image
@@ -127,9 +127,10 @@ def record_poses(executor: Filmable, scene: TabletopScene, path: Path) -> Genera
     rr = load_rerun()
     with recording(path, f"film of scene {scene.number}") as stream:
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        log_camera(stream, rr, "goal/camera", home_camera(scene.config))
+        log_camera(stream, rr, "goal/camera", scene.goal_camera)
+        for number, truth in scene.truth.items():
+            log_box(stream, rr, f"goal/{number}", truth.model, truth.T_world_goal)
         for number, asset in enumerate(scene.assets):
-            log_box(stream, rr, f"goal/{number}", asset.model, scene.goal[number])
             mesh = rr.Asset3D(contents=_small_glb(asset), media_type="model/gltf-binary")
             stream.log(f"table/{number}", mesh, static=True)
         shown: dict[int, Float] = {}

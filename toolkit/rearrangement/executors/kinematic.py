@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation, Slerp
 
+from toolkit.data.cameras import home_camera
 from toolkit.data.layout import RestingObject, resting_poses
 from toolkit.data.table import HALF_SIDE_M
-from toolkit.data.tabletop import Studio, TabletopScene, home_camera
+from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import make_transform, transform_points
 from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.resting import settle
@@ -57,7 +58,7 @@ class Kinematic(Plugin):
         for number, pose in enumerate(self._poses):
             self._solids.place(number, pose)
         self._studio = Studio(task, cache_root())
-        self._home = home_camera(task.config)
+        self._home = home_camera(task.config.resolution)
         self._goal = self._studio.goal()
         return self._goal
 
