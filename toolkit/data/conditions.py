@@ -33,7 +33,10 @@ TableShape = Literal["square", "rectangle", "round", "any"]
 PUBLISHED: tuple[Effect, ...] = ("depth", "quantization", "dropout", "color", "light", "pose")
 """The effects of track `d435`: none that depends on what lies beside a pixel but dropout."""
 
-EVERY_EFFECT: tuple[Effect, ...] = (*PUBLISHED, "flying_pixels", "shadow", "holes", "border", "exposure", "blur")
+_AT_EDGES: tuple[Effect, ...] = ("flying_pixels", "shadow", "holes", "border", "exposure", "blur")
+KINECT: tuple[Effect, ...] = (*PUBLISHED, *_AT_EDGES)
+REALSENSE: tuple[Effect, ...] = tuple(effect for effect in KINECT if effect != "dropout")
+"""Without the published loss at all edges alike: a real one loses what its second eye does not see."""
 
 
 class ConditionSettings(PluginConfig):
@@ -121,10 +124,11 @@ def _wild(rng: np.random.Generator) -> Conditions:
         return drawn if chance(probability) else 0.0
 
     near = chance(0.5)
+    sensor: Sensor = "kinect" if chance(0.4) else "d435"
     arc, few = float(rng.uniform(8, 90)), int(rng.integers(1, 6))
     return Conditions(
-        noise=tuple(effect for effect in EVERY_EFFECT if chance(0.9)),
-        sensor="kinect" if chance(0.4) else "d435",
+        noise=tuple(effect for effect in (KINECT if sensor == "kinect" else REALSENSE) if chance(0.9)),
+        sensor=sensor,
         table="varied",
         table_shape="any",
         background=chance(0.85),
@@ -145,8 +149,8 @@ def _wild(rng: np.random.Generator) -> Conditions:
 _TRACKS: dict[str, Callable[[np.random.Generator], Conditions]] = {
     "clean": lambda _: Conditions(),
     "d435": lambda _: Conditions(noise=PUBLISHED),
-    "realsense": lambda _: Conditions(noise=EVERY_EFFECT),
-    "kinect": lambda _: Conditions(noise=EVERY_EFFECT, sensor="kinect"),
+    "realsense": lambda _: Conditions(noise=REALSENSE),
+    "kinect": lambda _: Conditions(noise=KINECT, sensor="kinect"),
     "crowded": lambda _: Conditions(crowding=0.7),
     "wild": _wild,
 }

@@ -65,8 +65,9 @@ class Exposure:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Exposure:
         """Within what a camera's automatic chooses in one room."""
-        r, g, b = (np.exp(rng.normal(0, 0.2)) * np.exp(rng.normal(0, 0.07, 3))).tolist()
-        return cls((r, g, b), float(np.exp(rng.normal(0, 0.15))), float(rng.uniform(0, 0.25)))
+        light, warmth, tint = np.exp(rng.normal(0, [0.18, 0.07, 0.02]))
+        gain = (float(light * warmth), float(light * tint), float(light / warmth))
+        return cls(gain, float(np.exp(rng.normal(0, 0.15))), float(rng.uniform(0, 0.25)))
 
     def apply(self, rgb: Image) -> Image:
         """(H, W, 3) uint8 in and out."""

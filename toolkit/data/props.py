@@ -26,10 +26,10 @@ class Prop:
 
     def write(self, folder: Path, name: str) -> tuple[Path, Path]:
         """Write mesh and texture into a folder; returns their paths."""
-        mesh, texture = folder / f"{name}.obj", folder / f"{name}.png"
+        mesh, texture = folder / f"{name}.obj", folder / f"{name}.bmp"
         mesh.write_text(bare_obj_text(self.surface))
-        png = cv2.imencode(".png", self.texture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-        texture.write_bytes(png.tobytes())
+        # Read once and thrown away: packing it would take most of the time.
+        texture.write_bytes(cv2.imencode(".bmp", self.texture[..., ::-1])[1].tobytes())
         return mesh, texture
 
 

@@ -3,10 +3,11 @@
 Each effect is one function, so that each can be switched on alone (`dataset.noise`). Sources:
 
 - Structured light (Kinect): disparity steps and their growth with z^2, Khoshelham and Elberink, "Accuracy and
-  resolution of Kinect depth data for indoor mapping applications", Sensors 2012; axial and lateral noise by distance and
-  angle, Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking", 3DIMPVT
-  2012; edges looked up at shifted pixels, Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and
-  SLAM" (ICL-NUIM), ICRA 2014, after Barron and Malik, "Intrinsic scene properties from a single RGB-D image", CVPR 2013.
+  resolution of Kinect depth data for indoor mapping applications", Sensors 2012; axial and lateral noise by distance
+  and angle, Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking",
+  3DIMPVT 2012; edges looked up at shifted pixels, Handa et al., "A benchmark for RGB-D visual odometry, 3D
+  reconstruction and SLAM" (ICL-NUIM), ICRA 2014, after Barron and Malik, "Intrinsic scene properties from a single
+  RGB-D image", CVPR 2013.
 - Active stereo (D435): `toolkit.data.noise`; edges and shadows follow from matching windows on two images a baseline
   apart.
 
@@ -58,7 +59,7 @@ class ActiveStereo:
 
     baseline_m: float = noise.BASELINE_M
     edge_px: float = 1.3
-    window_px: int = 5
+    window_px: int = 8
     border: tuple[float, float, float, float] = (0.06, 0.0, 0.0, 0.0)
     range_m: tuple[float, float] = (0.28, 4.0)
 
@@ -123,6 +124,8 @@ def measure_depth(
     """
     sensor = SENSORS[kind]
     lost = np.zeros(depth.shape, bool)
+    if "dropout" in effects and kind == "kinect":
+        lost |= grazing_dropout(depth, focal, rng)
     if "shadow" in effects:
         lost |= stereo_shadow(depth, focal, sensor, rng)
     if "holes" in effects:
@@ -135,8 +138,8 @@ def measure_depth(
         depth = sensor.axial(depth, focal, rng)
     if "quantization" in effects:
         depth = sensor.quantize(depth)
-    if "dropout" in effects:
-        depth = noise.dropout(depth, rng) if kind == "d435" else grazing_dropout(depth, focal, rng)
+    if "dropout" in effects and kind == "d435":
+        depth = noise.dropout(depth, rng)
     return np.where(lost, 0, depth).astype(np.float32)
 
 
@@ -202,11 +205,12 @@ def border(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> Mask:
     return outside | ((depth > 0) & ((depth < near) | (depth > far)))
 
 
-def grazing_dropout(depth: Float, focal: float, rng: np.random.Generator) -> Float:
-    """Lose what is seen at more than about 75 deg, and a pixel here and there; (H, W) metres in and out."""
-    lost = np.clip((slope(depth, focal) - 3.5) / 8, 0, 0.9) + 0.001
-    lost += 0.5 * _edges(depth, 1)
-    return np.where(rng.random(depth.shape) < lost, 0, depth).astype(np.float32)
+def grazing_dropout(depth: Float, focal: float, rng: np.random.Generator) -> Mask:
+    """(H, W) bool: what is seen at more than about 75 deg (most of it), and some specks."""
+    lost = np.clip((slope(depth, focal) - 3.5) / 8, 0, 0.9) * (depth > 0)
+    # Jumps look steep as well; there about half is lost, in stretches.
+    lost *= np.where(_edges(depth, 1), _smooth(rng, depth.shape, 3.0) > 0, 1)
+    return (rng.random(depth.shape) < lost) | (_smooth(rng, depth.shape, 1.5) > 3.9)
 
 
 def slope(depth: Float, focal: float) -> Float:

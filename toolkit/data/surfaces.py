@@ -20,7 +20,9 @@ def table_top(rng: np.random.Generator, width: int, height: int) -> Image:
     """The top of a table: wooden twice as often as anything else; one in three has stains."""
     drawers: tuple[Drawer, ...] = (planks, planks, veneer, veneer, laminate, stone, checked, printed_cloth, painted)
     sheet = drawers[int(rng.integers(len(drawers)))](rng, width, height)
-    return stained(rng, sheet) if rng.random() < 0.35 else sheet
+    sheet = stained(rng, sheet) if rng.random() < 0.35 else sheet
+    # Finer than what the renderers sample without patterns of their own.
+    return np.asarray(cv2.GaussianBlur(sheet, (0, 0), 0.9), np.uint8)
 
 
 def veneer(rng: np.random.Generator, width: int, height: int) -> Image:
@@ -57,8 +59,14 @@ def laminate(rng: np.random.Generator, width: int, height: int) -> Image:
 
 
 def painted(rng: np.random.Generator, width: int, height: int) -> Image:
-    """Worn paint: scratches and stains."""
-    return textures.painted(rng, width, height, textures.color(rng, (0.0, 0.7)))
+    """Worn paint: scratches on one colour."""
+    sheet = _shaded(rng, np.broadcast_to(np.array(textures.color(rng, (0.0, 0.7))), (height, width, 3)), 4)
+    for _ in range(int(rng.integers(5, 40))):
+        start = rng.uniform(0, [width, height])
+        end = start + rng.normal(0, 0.05 * width, 2)
+        ends = (np.rint(point).astype(int).tolist() for point in (start, end))
+        cv2.line(sheet, *ends, (int(rng.integers(60, 230)),) * 3, 1, cv2.LINE_AA)
+    return sheet
 
 
 def stone(rng: np.random.Generator, width: int, height: int) -> Image:

@@ -23,6 +23,9 @@ _MAP_HALF_M = 1.0
 """Shadows fall within this distance of the world's origin."""
 
 _BIAS_M = 0.004
+_STEEPEST = 0.008
+"""Largest change of depth between two texels that is taken for one surface's, metres."""
+
 _TAPS = 12
 
 
@@ -107,16 +110,20 @@ class ShadowMap:
         K = self._camera.K.astype(np.float32)
         z = np.maximum(local[..., 2], 1e-3)
         x, y = local[..., 0] / z * K[0, 0] + K[0, 2], local[..., 1] / z * K[1, 1] + K[1, 2]
-        nearest = z - _BIAS_M
+        # How the surface's own depth changes from one texel to the next: a tilted one must not shadow itself.
+        normals = scene.normals @ T[:3, :3].T
+        off = (normals * local).sum(axis=-1)
+        steep = -(z**2) / np.where(np.abs(off) < 1e-3, 1e-3, off) / K[0, 0]
+        slope_x, slope_y = (np.clip(steep * normals[..., i], -_STEEPEST, _STEEPEST) for i in (0, 1))
         hidden = np.zeros(z.shape, np.float32)
         for k in range(_TAPS):
             # A sunflower's seeds: evenly over a disc.
             radius, angle = self._softness_px * np.sqrt((k + 0.5) / _TAPS), 2.399963 * k
-            tap_x, tap_y = x + np.float32(radius * np.cos(angle)), y + np.float32(radius * np.sin(angle))
+            dx, dy = np.float32(radius * np.cos(angle)), np.float32(radius * np.sin(angle))
             seen = cv2.remap(
-                self._depth, tap_x, tap_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.inf
+                self._depth, x + dx, y + dy, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.inf
             )
-            hidden += seen < nearest
+            hidden += seen < z + dx * slope_x + dy * slope_y - _BIAS_M
         # What is turned away from the light gets none of it to begin with.
         facing = np.clip(4 * (scene.normals @ self._toward), 0, 1)
         kept = 1 - self._share * hidden / _TAPS * facing * scene.seen
