@@ -87,12 +87,11 @@ def _one(rng: np.random.Generator, patches: Sequence[Rect]) -> Rect:
     return patches[int(rng.integers(len(patches)))]
 
 
-def _box(center: Sequence[float], size: Sequence[float], rects: Rect | Sequence[Rect]) -> Surface:
-    """A box whose (x, y) middle and lower edge z are `center`."""
+def _box(center: Sequence[float], size: Sequence[float], *rects: Rect) -> Surface:
+    """A box whose (x, y) middle and lower edge z are `center`; one rect for all sides, or one for each of the five."""
     half = np.array([size[0] / 2, size[1] / 2, 0])
-    low = np.asarray(center) - half
-    painted = [rects] * 5 if isinstance(rects, tuple) else rects
-    return block(low, np.asarray(center) + half + [0, 0, size[2]], painted)
+    low, high = np.asarray(center) - half, np.asarray(center) + half + [0, 0, size[2]]
+    return block(low, high, rects if len(rects) == 5 else rects * 5)
 
 
 def _chair(table: Table, patches: Patches, rng: np.random.Generator) -> Surface:
@@ -131,17 +130,17 @@ def _side_table(table: Table, patches: Patches, rng: np.random.Generator) -> Sur
 def _thing(at: Sequence[float], tallest: float, patches: Patches, rng: np.random.Generator) -> Surface:
     """A printed box of the size of a household thing."""
     size = (rng.uniform(0.04, 0.2), rng.uniform(0.04, 0.2), min(rng.uniform(0.02, 0.3), tallest))
-    thing = _box((0, 0, 0), size, [_one(rng, patches[6:]) for _ in range(5)])
+    thing = _box((0, 0, 0), size, *(_one(rng, patches[6:]) for _ in range(5)))
     return thing.moved(rotation_z(rng.uniform(-np.pi, np.pi))[:3, :3], np.asarray(at))
 
 
 def _carton(table: Table, patches: Patches, rng: np.random.Generator) -> Surface:
     """Boxes on the floor, now and then a stack."""
-    size = rng.uniform(0.2, 0.5, 3)
-    lower = _box((0, 0, -table.height), size, [_one(rng, patches) for _ in range(5)])
-    if rng.random() < 0.7 or 2 * size[2] > table.height:
+    w, d, h = rng.uniform(0.2, 0.5, 3).tolist()
+    lower = _box((0, 0, -table.height), (w, d, h), *(_one(rng, patches) for _ in range(5)))
+    if rng.random() < 0.7 or 2 * h > table.height:
         return lower
-    upper = _box((0, 0, size[2] - table.height), 0.8 * size, [_one(rng, patches) for _ in range(5)])
+    upper = _box((0, 0, h - table.height), (0.8 * w, 0.8 * d, 0.8 * h), *(_one(rng, patches) for _ in range(5)))
     return merge([lower, upper])
 
 

@@ -16,8 +16,8 @@ How often what happens was set on real captures: experiments/benchmarks/depth_no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -27,8 +27,9 @@ from toolkit.data.conditions import Effect, Sensor
 from toolkit.types import Float, Image, Mask
 
 
-class DepthSensor(Protocol):
-    """The figures and the noise of one kind of camera.
+@dataclass(frozen=True)
+class DepthSensor:
+    """One kind of camera.
 
     Attributes:
         baseline_m: from its eye to its second eye or projector; below 0 where that is on the left.
@@ -36,6 +37,8 @@ class DepthSensor(Protocol):
         window_px: width of its matching window: what its second eye sees less than that of is lost.
         border: share of the picture that is lost at its left, top, right and bottom.
         range_m: nearest and furthest depth.
+        axial: adds noise along z: (H, W) metres and the focal length in pixels in, metres out.
+        quantize: rounds to the sensor's steps: (H, W) metres in and out.
     """
 
     baseline_m: float
@@ -43,63 +46,47 @@ class DepthSensor(Protocol):
     window_px: int
     border: tuple[float, float, float, float]
     range_m: tuple[float, float]
-
-    def axial(self, depth: Float, focal: float, rng: np.random.Generator) -> Float:
-        """Add noise along z; (H, W) metres in and out; `focal` in pixels."""
-        ...
-
-    def quantize(self, depth: Float) -> Float:
-        """Round to the sensor's steps; (H, W) metres in and out."""
-        ...
+    axial: Callable[[Float, float, np.random.Generator], Float]
+    quantize: Callable[[Float], Float]
 
 
-@dataclass(frozen=True)
-class ActiveStereo:
-    """A RealSense D435: two eyes and a pattern that helps them."""
-
-    baseline_m: float = noise.BASELINE_M
-    edge_px: float = 1.3
-    window_px: int = 8
-    border: tuple[float, float, float, float] = (0.06, 0.0, 0.0, 0.0)
-    range_m: tuple[float, float] = (0.28, 4.0)
-
-    def axial(self, depth: Float, focal: float, rng: np.random.Generator) -> Float:
-        """See DepthSensor."""
-        return noise.axial_noise(depth, rng)
-
-    def quantize(self, depth: Float) -> Float:
-        """See DepthSensor."""
-        return noise.quantize(depth)
+def kinect_noise(depth: Float, focal: float, rng: np.random.Generator) -> Float:
+    """Nguyen et al., Eq. 3: 1.2 mm at 0.4 m, growing with the square of distance, and towards grazing angles."""
+    turn = np.minimum(np.arctan(slope(depth, focal)), np.radians(80))
+    z = np.maximum(depth, 0.4)
+    sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2 + 0.0001 / np.sqrt(z) * turn**2 / (np.pi / 2 - turn) ** 2
+    return np.where(depth > 0, depth + sigma * _smooth(rng, depth.shape, 1.0), 0).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class StructuredLight:
-    """A Kinect or PrimeSense: one eye and a projector."""
-
-    baseline_m: float = -0.075
-    edge_px: float = 1.0
-    window_px: int = 3
-    border: tuple[float, float, float, float] = (0.02, 0.04, 0.08, 0.03)
-    range_m: tuple[float, float] = (0.45, 4.0)
-
-    def axial(self, depth: Float, focal: float, rng: np.random.Generator) -> Float:
-        """Nguyen et al., Eq. 3: 1.2 mm at 0.4 m, growing with the square of distance, and towards grazing angles."""
-        turn = np.minimum(np.arctan(slope(depth, focal)), np.radians(80))
-        z = np.maximum(depth, 0.4)
-        sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2 + 0.0001 / np.sqrt(z) * turn**2 / (np.pi / 2 - turn) ** 2
-        white = cv2.GaussianBlur(rng.standard_normal(depth.shape).astype(np.float32), (0, 0), 1.0)
-        return np.where(depth > 0, depth + sigma * white / white.std(), 0).astype(np.float32)
-
-    def quantize(self, depth: Float) -> Float:
-        """Khoshelham and Elberink, Eq. 8: steps of 2.85 mm at 1 m, growing with the square of distance."""
-        levels = _KINECT_STEPS_M / np.maximum(depth, 1e-6)
-        return np.where(depth > 0, _KINECT_STEPS_M / np.maximum(np.rint(levels), 1), 0).astype(np.float32)
+def kinect_steps(depth: Float) -> Float:
+    """Khoshelham and Elberink, Eq. 8: steps of 2.85 mm at 1 m, growing with the square of distance."""
+    levels = np.rint(_KINECT_STEPS_M / np.maximum(depth, 1e-6))
+    return np.where(depth > 0, _KINECT_STEPS_M / np.maximum(levels, 1), 0).astype(np.float32)
 
 
 _KINECT_STEPS_M = 351.3
 """z^2 over the depth step (Handa et al.: 35130 in centimetres)."""
 
-SENSORS: dict[Sensor, DepthSensor] = {"d435": ActiveStereo(), "kinect": StructuredLight()}
+SENSORS: dict[Sensor, DepthSensor] = {
+    "d435": DepthSensor(
+        baseline_m=noise.BASELINE_M,
+        edge_px=1.3,
+        window_px=8,
+        border=(0.06, 0.0, 0.0, 0.0),
+        range_m=(0.28, 4.0),
+        axial=lambda depth, _, rng: noise.axial_noise(depth, rng),
+        quantize=noise.quantize,
+    ),
+    "kinect": DepthSensor(
+        baseline_m=-0.075,
+        edge_px=1.0,
+        window_px=3,
+        border=(0.02, 0.04, 0.08, 0.03),
+        range_m=(0.45, 4.0),
+        axial=kinect_noise,
+        quantize=kinect_steps,
+    ),
+}
 
 _EDGE_M = 0.02
 _DARK, _BRIGHT = 45.0, 242.0

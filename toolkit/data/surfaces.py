@@ -64,8 +64,8 @@ def painted(rng: np.random.Generator, width: int, height: int) -> Image:
     for _ in range(int(rng.integers(5, 40))):
         start = rng.uniform(0, [width, height])
         end = start + rng.normal(0, 0.05 * width, 2)
-        ends = (np.rint(point).astype(int).tolist() for point in (start, end))
-        cv2.line(sheet, *ends, (int(rng.integers(60, 230)),) * 3, 1, cv2.LINE_AA)
+        (x0, y0), (x1, y1) = np.rint([start, end]).astype(int).tolist()
+        cv2.line(sheet, (x0, y0), (x1, y1), (int(rng.integers(60, 230)),) * 3, 1, cv2.LINE_AA)
     return sheet
 
 
@@ -153,8 +153,8 @@ def poster(rng: np.random.Generator, width: int, height: int) -> Image:
 
 def paper(rng: np.random.Generator, width: int, height: int) -> Image:
     """A sheet with a heading and lines of text, sometimes a figure."""
-    sheet = textures.canvas(width, height, (int(rng.integers(225, 252)),) * 3)
-    ink = (int(rng.integers(20, 90)),) * 3
+    white, black = int(rng.integers(225, 252)), int(rng.integers(20, 90))
+    sheet, ink = textures.canvas(width, height, (white, white, white)), (black, black, black)
     margin, line = int(0.1 * width), max(6, int(height * rng.uniform(0.022, 0.035)))
     y = int(0.09 * height)
     cv2.rectangle(sheet, (margin, y), (margin + int(rng.uniform(0.3, 0.8) * (width - 2 * margin)), y + line), ink, -1)

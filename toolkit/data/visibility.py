@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from toolkit.geometry import invert, project
-from toolkit.types import Camera, Float
+from toolkit.types import Camera, Float, Image
 
 _SCALE = 0.25
 _MARGIN = 0.5
@@ -38,8 +38,8 @@ def visible_shares(bodies: Sequence[Float], camera: Camera, veils: Sequence[Floa
     return np.array([(inside == i).sum() / max(int((sheet > 0).sum()), 1) for i, sheet in enumerate(sheets)])
 
 
-def _outline(points: Float, camera: Camera) -> Float:
-    """(H, W) uint8 sheet, 1 inside the outline."""
+def _outline(points: Float, camera: Camera) -> Image:
+    """(H, W) sheet, 1 inside the outline."""
     size = np.array([camera.height, camera.width]) * (1 + 2 * _MARGIN) * _SCALE
     sheet = np.zeros(np.rint(size).astype(int), np.uint8)
     pixels, depth = project(camera.K, invert(camera.T_world_camera), points)
