@@ -15,6 +15,7 @@ Effect = Literal[
     "depth",
     "quantization",
     "dropout",
+    "ripple",
     "flying_pixels",
     "shadow",
     "holes",
@@ -31,10 +32,10 @@ TableLook = Literal["plain", "wood", "cloth", "varied"]
 TableShape = Literal["square", "rectangle", "round", "any"]
 
 PUBLISHED: tuple[Effect, ...] = ("depth", "quantization", "dropout", "color", "light", "pose")
-"""The effects of track `d435`: none that depends on what lies beside a pixel but dropout."""
+"""The effects of track `d435`."""
 
-_AT_EDGES: tuple[Effect, ...] = ("flying_pixels", "shadow", "holes", "border", "exposure", "blur")
-KINECT: tuple[Effect, ...] = (*PUBLISHED, *_AT_EDGES)
+_REAL: tuple[Effect, ...] = ("ripple", "flying_pixels", "shadow", "holes", "border", "exposure", "blur")
+KINECT: tuple[Effect, ...] = (*PUBLISHED, *_REAL)
 REALSENSE: tuple[Effect, ...] = tuple(effect for effect in KINECT if effect != "dropout")
 """Without the published loss at all edges alike: a real one loses what its second eye does not see."""
 

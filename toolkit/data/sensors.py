@@ -37,6 +37,7 @@ class DepthSensor:
         window_px: width of its matching window: what its second eye sees less than that of is lost.
         border: share of the picture that is lost at its left, top, right and bottom.
         range_m: nearest and furthest depth.
+        ripple: deviation, at 1 m, of an error that is smooth over a matching window; it grows with the square of depth.
         axial: adds noise along z: (H, W) metres and the focal length in pixels in, metres out.
         quantize: rounds to the sensor's steps: (H, W) metres in and out.
     """
@@ -46,6 +47,7 @@ class DepthSensor:
     window_px: int
     border: tuple[float, float, float, float]
     range_m: tuple[float, float]
+    ripple: float
     axial: Callable[[Float, float, np.random.Generator], Float]
     quantize: Callable[[Float], Float]
 
@@ -74,6 +76,7 @@ SENSORS: dict[Sensor, DepthSensor] = {
         window_px=8,
         border=(0.06, 0.0, 0.0, 0.0),
         range_m=(0.28, 4.0),
+        ripple=0.0026,
         axial=lambda depth, _, rng: noise.axial_noise(depth, rng),
         quantize=noise.quantize,
     ),
@@ -83,12 +86,17 @@ SENSORS: dict[Sensor, DepthSensor] = {
         window_px=3,
         border=(0.02, 0.04, 0.08, 0.03),
         range_m=(0.45, 4.0),
+        ripple=0.0012,
         axial=kinect_noise,
         quantize=kinect_steps,
     ),
 }
 
+_RIPPLE_PX = 3.0
 _EDGE_M = 0.02
+_DOUBTED = 0.6
+"""Mixed pixels are given up where a smooth field of unit deviation exceeds this: a quarter of them."""
+
 _DARK, _BRIGHT = 45.0, 242.0
 """Grey levels (0 to 255) below and above which infrared light does not come back, or only as glare."""
 
@@ -121,6 +129,8 @@ def measure_depth(
         lost |= border(depth, sensor, rng)
     if "flying_pixels" in effects:
         depth = mixed_edges(depth, sensor, rng)
+    if "ripple" in effects:
+        depth = depth + sensor.ripple * depth**2 * _smooth(rng, depth.shape, _RIPPLE_PX)
     if "depth" in effects:
         depth = sensor.axial(depth, focal, rng)
     if "quantization" in effects:
@@ -131,7 +141,7 @@ def measure_depth(
 
 
 def mixed_edges(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> Float:
-    """Take depth at edges from beside, between pixels, so that it is neither surface's ("flying pixels").
+    """Take depth at edges from beside, between pixels, so that it is neither surface's ("flying pixels"), or lose it.
 
     (H, W) metres in and out. The look-up shifts smoothly along an edge, as matching windows slide over it; depth
     between two surfaces is mixed by its inverse.
@@ -144,6 +154,9 @@ def mixed_edges(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> 
     moved = cv2.remap(spread, x + shift[0], y + shift[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     near_edge = _edges(depth, 2 + round(2 * sensor.edge_px))
     found = np.where(moved > 1e-3, 1 / np.maximum(moved, 1e-3), 0)
+    kernel = np.ones((5, 5), np.uint8)
+    mixed = (found - cv2.erode(depth, kernel) > _EDGE_M) & (cv2.dilate(depth, kernel) - found > _EDGE_M)
+    found[mixed & (_smooth(rng, depth.shape, 3.0) > _DOUBTED)] = 0
     return np.where(near_edge & (depth > 0), found, depth).astype(np.float32)
 
 
