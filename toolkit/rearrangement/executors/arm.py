@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.data.cameras import filming_camera
-from toolkit.data.table import HALF_SIDE_M
 from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
@@ -152,7 +151,7 @@ class Arm(Plugin):
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)
-        if np.abs(Footprint.of(goal).center).max() > HALF_SIDE_M:
+        if not self._task.table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         grasps = self._grasper.grasp(request, self._moves)
         if isinstance(grasps, Failure):

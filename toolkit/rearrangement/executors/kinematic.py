@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from toolkit.data.cameras import home_camera
 from toolkit.data.layout import RestingObject, resting_poses
-from toolkit.data.table import HALF_SIDE_M
 from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import make_transform, transform_points
 from toolkit.paths import cache_root
@@ -52,6 +51,7 @@ class Kinematic(Plugin):
 
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""
+        self._table = task.table
         self._poses = list(task.current)
         self._rests: list[list[RestingObject]] = [resting_poses(asset) for asset in task.assets]
         self._solids = Solids([asset.hulls for asset in task.assets])
@@ -114,7 +114,7 @@ class Kinematic(Plugin):
             opens, wide = 100 * width, 100 * footprint.width
             return Failure("executor", f"the object is {wide:.1f} cm wide, the gripper opens {opens:.1f} cm")
         goal = transform_points(request.T_place_pick, request.points)
-        if np.abs(Footprint.of(goal).center).max() > HALF_SIDE_M:
+        if not self._table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         return None
 
