@@ -115,15 +115,15 @@ _CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def _side_table(table: Table, patches: Patches, rng: np.random.Generator) -> Surface:
-    """Another table, lower than this one, with things on it."""
+    """Another table, lower than this one or higher, with things on it."""
     floor, look = -table.height, _one(rng, patches[:8])
-    high = table.height * rng.uniform(0.55, 0.96)
+    high = table.height * rng.uniform(0.55, 1.25)
     w, d = rng.uniform(0.4, 1.1), rng.uniform(0.4, 0.7)
     parts = [_box((0, 0, floor + high - 0.03), (w, d, 0.03), look)]
     parts += [_box((x * (w / 2 - 0.03), y * (d / 2 - 0.03), floor), (0.04, 0.04, high), look) for x, y in _CORNERS]
     for _ in range(int(rng.integers(0, 5))):
         at = (rng.uniform(-0.4, 0.4) * w, rng.uniform(-0.4, 0.4) * d, floor + high)
-        parts.append(_thing(at, table.height - high + 0.15, patches, rng))
+        parts.append(_thing(at, max(table.height - high, 0) + 0.15, patches, rng))
     return merge(parts)
 
 

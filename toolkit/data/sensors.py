@@ -179,7 +179,8 @@ def stereo_shadow(depth: Float, focal: float, sensor: DepthSensor, rng: np.rando
     reach = cv2.distanceTransform(1 - hidden, cv2.DIST_L2, 3)
     ragged = sensor.window_px * (0.5 + 0.5 * _smooth(rng, depth.shape, 2.5))
     # Grown to the far side only: the near one is seen by both eyes.
-    far = depth > cv2.dilate(np.where(hidden > 0, depth, 0).astype(np.float32), np.ones((9, 9), np.uint8)) - _EDGE_M
+    behind = np.where(hidden > 0, depth, 0).astype(np.float32)
+    far = depth > cv2.dilate(behind, np.ones((4 * sensor.window_px + 1,) * 2, np.uint8)) - _EDGE_M
     return (hidden > 0) | ((reach < ragged) & far)
 
 

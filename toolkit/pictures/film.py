@@ -95,7 +95,9 @@ class Film:
         if self._on_frame is not None:
             self._on_frame(self._frames / _FRAMES_PER_S)
         self._frames += frames
-        picture = np.hstack([self._executor.goal_picture(), self._executor.snapshot()])
+        now = self._executor.snapshot()
+        goal = cv2.resize(self._executor.goal_picture(), now.shape[1::-1], interpolation=cv2.INTER_AREA)
+        picture = np.hstack([goal, now])
         for text, x in (("goal", 0), ("now", picture.shape[1] // 2)):
             cv2.putText(picture, text, (x + 16, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2, cv2.LINE_AA)
         if self._writer is None:
