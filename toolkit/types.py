@@ -439,6 +439,19 @@ class TrueObject:
 
 
 @dataclass(frozen=True, eq=False)
+class Placed:
+    """Where one object really is, in one of the two scenes.
+
+    Attributes:
+        model: the object.
+        T_world_model: (4, 4) model to world, metres.
+    """
+
+    model: ObjectModel
+    T_world_model: Float
+
+
+@dataclass(frozen=True, eq=False)
 class Capture:
     """One task: posed RGB-D frames of the current scene, one RGB image of the goal, and the truth where known.
 
@@ -446,8 +459,10 @@ class Capture:
         name: the capture folder's name.
         current: the current scene's frames.
         goal: the goal image.
-        truth: true objects by instance id, or None.
+        truth: true objects that are in both scenes by instance id, or None.
         digest: sha256 of the files it was read from.
+        only_current: true objects that are not in the goal, by instance id.
+        only_goal: true objects that are not in the current scene, by instance id.
     """
 
     name: str
@@ -455,6 +470,8 @@ class Capture:
     goal: Frame
     truth: Mapping[int, TrueObject] | None
     digest: str
+    only_current: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
+    only_goal: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
 
     def __post_init__(self) -> None:
         _require(len(self.current) > 0, f"capture {self.name}: there is no current frame")

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from toolkit.data.table import HALF_SIDE_M
-from toolkit.data.tabletop import Studio, TabletopScene, filming_camera
+from toolkit.data.cameras import filming_camera
+from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.reach import Reach, Way
@@ -134,7 +134,7 @@ class Arm(Plugin):
         studio, robot = self._stage
         robot.set(self._bench.robot.q)
         robot.set_drive(self._bench.robot.drive)
-        return studio.picture(filming_camera(self._task.config), self._bench.poses())
+        return studio.picture(filming_camera(self._task.config.resolution), self._bench.poses())
 
     def goal_picture(self) -> Image:
         """See Filmable."""
@@ -153,7 +153,7 @@ class Arm(Plugin):
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)
-        if np.abs(Footprint.of(goal).center).max() > HALF_SIDE_M:
+        if not self._task.table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         grasps = self._grasper.grasp(request, self._moves)
         if isinstance(grasps, Failure):
