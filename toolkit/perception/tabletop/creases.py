@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from toolkit.perception.tabletop.plane import pixel_rays
+from toolkit.perception.tabletop.refine import window
 from toolkit.perception.tabletop.relief import Relief
 from toolkit.types import Float, Image, Mask
 
@@ -32,6 +33,8 @@ _FLATTEST_VIEW = 0.3
 
 _DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
 _OPENED_M = 0.003
+_MARGIN = 40
+"""Pixels around what stands on the table that are looked at with it."""
 
 
 def smooth_parts(relief: Relief) -> tuple[Mask, Float]:
@@ -43,28 +46,31 @@ def smooth_parts(relief: Relief) -> tuple[Mask, Float]:
     """
     depth = relief.frame.depth
     assert depth is not None
+    smooth, concave = np.zeros(depth.shape, bool), np.zeros(depth.shape, np.float32)
+    if not relief.things.any():
+        return smooth, concave
     pixel_m = _pixel(relief)
     stride = max(1, round(_PIXEL_M / pixel_m))
-    inverse = _joined(np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32), stride)
-    angle, facing = _shape(relief, inverse, stride)
-    size = (depth.shape[1], depth.shape[0])
-    if stride > 1:
-        angle = np.asarray(cv2.resize(angle, size, interpolation=cv2.INTER_NEAREST))
-        facing = np.asarray(cv2.resize(facing, size, interpolation=cv2.INTER_NEAREST))
-    colour = _contrast(relief.frame.rgb, max(3, round(_REACH_M / pixel_m / 2)))
-    concave = angle.clip(0, 90) + _COLOUR_DEG * (colour / _CONTRAST).clip(0, 1) * (angle > _LEAST_DEG)
-    smooth = (relief.solid & ~relief.level & (concave < _CREASE_DEG) & (facing > _FLATTEST_VIEW)).astype(np.uint8)
+    box = window(relief.things, _MARGIN * stride)
+    inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)[box]
+    angle, facing = _shape(_joined(inverse, stride), pixel_rays(relief.frame)[box], relief, stride)
+    angle, facing = _spread(angle, stride, inverse.shape), _spread(facing, stride, inverse.shape)
+    colour = _contrast(relief.frame.rgb[box], max(3, round(_REACH_M / pixel_m / 2)))
+    bent = angle.clip(0, 90) + _COLOUR_DEG * (colour / _CONTRAST).clip(0, 1) * (angle > _LEAST_DEG)
+    surface = relief.solid[box] & ~relief.level[box]
     radius = max(1, round(_OPENED_M / pixel_m))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return cv2.morphologyEx(smooth, cv2.MORPH_OPEN, kernel) > 0, concave.astype(np.float32)
+    inner = (surface & (bent < _CREASE_DEG) & (facing > _FLATTEST_VIEW)).astype(np.uint8)
+    smooth[box] = cv2.morphologyEx(inner, cv2.MORPH_OPEN, kernel) > 0
+    concave[box] = bent
+    return smooth, concave
 
 
 def _pixel(relief: Relief) -> float:
     """Side of a pixel on what stands on the table, metres."""
     depth = relief.frame.depth
     assert depth is not None
-    where = relief.things if relief.things.any() else depth > 0
-    return float(np.median(depth[where]) / relief.frame.camera.K[0, 0]) if where.any() else _PIXEL_M
+    return float(np.median(depth[relief.things]) / relief.frame.camera.K[0, 0])
 
 
 def _joined(inverse: Float, stride: int) -> Float:
@@ -80,44 +86,62 @@ def _joined(inverse: Float, stride: int) -> Float:
     return np.where(2 * count >= ordered.shape[2], median, 0)
 
 
-def _shape(relief: Relief, inverse: Float, stride: int) -> tuple[Float, Float]:
-    """How concave the surface is, degrees (-90 where that cannot be seen), and the cosine it is seen under."""
-    reach = 3 * relief.plane.noise / stride + 0.004 * float(np.median(inverse[inverse > 0])) if inverse.any() else 1.0
+def _spread(image: Float, stride: int, shape: tuple[int, ...]) -> Float:
+    """An image of joined pixels in the pixels they were joined from."""
+    if stride == 1:
+        return image
+    large = np.repeat(np.repeat(image, stride, axis=0), stride, axis=1)
+    return np.pad(large, [(0, a - b) for a, b in zip(shape, large.shape, strict=True)], mode="edge")
+
+
+def _shape(inverse: Float, rays: Float, relief: Relief, stride: int) -> tuple[Float, Float]:
+    """How concave the surface is, degrees (-180 where that cannot be seen), and the cosine it is seen under."""
+    if not inverse.any():
+        return np.full(inverse.shape, -180, np.float32), np.zeros(inverse.shape, np.float32)
+    reach = 3 * relief.plane.noise / stride + 0.004 * float(np.median(inverse[inverse > 0]))
     smooth = cv2.bilateralFilter(cv2.bilateralFilter(inverse, 7, reach, 1.5), 7, reach, 1.5)
     measured = (inverse > 0) & (smooth > 0)
     depth = np.where(measured, 1 / np.maximum(smooth, 1e-6), 0).astype(np.float32)
-    rays = pixel_rays(relief.frame)[stride // 2 :: stride, stride // 2 :: stride]
-    points = rays[: depth.shape[0], : depth.shape[1]] * depth[..., None]
-    normal = np.cross(_moved(points, 0, 2) - _moved(points, 0, -2), _moved(points, 2, 0) - _moved(points, -2, 0))
-    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-9)
-    normal *= -np.sign((normal * points).sum(axis=2, keepdims=True))
-    facing = -(normal * points).sum(axis=2) / np.maximum(np.linalg.norm(points, axis=2), 1e-6)
-    pixel_m = stride * float(np.median(depth[measured])) / relief.frame.camera.K[0, 0] if measured.any() else _PIXEL_M
+    rays = rays[stride // 2 :: stride, stride // 2 :: stride][: depth.shape[0], : depth.shape[1]]
+    # Coordinates come first, so that NumPy adds whole planes.
+    points = np.ascontiguousarray(np.moveaxis(rays, -1, 0)) * depth
+    normal = np.cross(
+        _moved(points, 0, 2) - _moved(points, 0, -2), _moved(points, 2, 0) - _moved(points, -2, 0), axis=0
+    )
+    normal /= np.maximum(_length(normal), 1e-9)
+    toward = (normal * points).sum(axis=0)
+    normal *= -np.sign(toward)
+    facing = np.abs(toward) / np.maximum(_length(points), 1e-6)
+    pixel_m = stride * float(np.median(depth[measured])) / relief.frame.camera.K[0, 0]
     step = int(np.clip(round(_REACH_M / pixel_m), 3, 12))
     sine = np.full(depth.shape, -1.0, np.float32)
     for y, x in _DIRECTIONS:
         away = step if x * y == 0 else max(2, round(0.75 * step))
         one, other = _moved(points, y * away, x * away) - points, _moved(points, -y * away, -x * away) - points
         seen = measured & _moved(measured, y * away, x * away) & _moved(measured, -y * away, -x * away)
-        bend = one / np.maximum(np.linalg.norm(one, axis=2, keepdims=True), 1e-9)
-        bend += other / np.maximum(np.linalg.norm(other, axis=2, keepdims=True), 1e-9)
-        half = np.linalg.norm(bend, axis=2) / 2 * np.sign((bend * normal).sum(axis=2))
+        bend = one / np.maximum(_length(one), 1e-9) + other / np.maximum(_length(other), 1e-9)
+        half = _length(bend) / 2 * np.sign((bend * normal).sum(axis=0))
         sine = np.maximum(sine, np.where(seen, half, -1.0))
     return np.degrees(2 * np.arcsin(sine.clip(-1, 1))).astype(np.float32), facing.astype(np.float32)
+
+
+def _length(vectors: Float) -> Float:
+    """(H, W) of (3, H, W)."""
+    return np.sqrt((vectors * vectors).sum(axis=0))
 
 
 def _contrast(rgb: Image, step: int) -> Float:
     """(H, W) float32 grey levels between what lies to either side of a pixel, brightness at half weight."""
     r, g, b = np.moveaxis(cv2.GaussianBlur(rgb, (0, 0), 1.5).astype(np.float32), -1, 0)
-    colours = np.stack([(r + g + b) / 6, (r - g) / 2, (r + g) / 4 - b / 2], axis=-1)
+    colours = np.stack([(r + g + b) / 6, (r - g) / 2, (r + g) / 4 - b / 2])
     most = np.zeros(rgb.shape[:2], np.float32)
     for y, x in _DIRECTIONS:
         away = step if x * y == 0 else max(2, round(0.75 * step))
-        gap = np.abs(_moved(colours, y * away, x * away) - _moved(colours, -y * away, -x * away)).sum(axis=2)
+        gap = np.abs(_moved(colours, y * away, x * away) - _moved(colours, -y * away, -x * away)).sum(axis=0)
         most = np.maximum(most, gap)
     return most
 
 
 def _moved(image: Any, y: int, x: int) -> Any:
-    """The image as seen from (y, x) pixels further on; what comes in over the border repeats the other side."""
-    return np.roll(image, (-y, -x), axis=(0, 1))
+    """(..., H, W) as seen from (y, x) pixels further on; what comes in over the border is from the other side."""
+    return np.roll(image, (-y, -x), axis=(-2, -1))
