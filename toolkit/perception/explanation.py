@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import is_rigid
@@ -34,12 +35,14 @@ class Placement:
         T_goal_current: (4, 4) motion in world coordinates, metres, that takes it there.
         segment: what the goal image shows of it.
         trust: 0..1, probability that this is the instance and that the segment is its own.
+        judged: what the trust is made from, by the explainer's own names.
     """
 
     instance: int
     T_goal_current: Float
     segment: Segment
     trust: float
+    judged: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         if not is_rigid(self.T_goal_current):

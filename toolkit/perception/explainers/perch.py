@@ -10,7 +10,7 @@ from toolkit.perception.explainers.searching.hypotheses import Searcher
 from toolkit.perception.explainers.searching.jointly import Candidate, compose, explain_jointly
 from toolkit.perception.explainers.searching.renderings import render
 from toolkit.perception.explainers.searching.segments import object_masks, unexplained
-from toolkit.perception.explainers.searching.trust import trust
+from toolkit.perception.explainers.searching.trust import judge, trust
 from toolkit.perception.explanation import ExplainTask, Explanation, Placement
 from toolkit.perception.tabletop.appearance import render_table, scan_table
 from toolkit.perception.tabletop.difference import difference
@@ -54,31 +54,27 @@ class Perch(Plugin):
         searcher = Searcher(
             scan.table, task.goal.camera, coarse, fine, self.config.step_mm / 1e3, self.config.yaws, self.config.kept
         )
+        models = task.models.usable()
         candidates = {
             instance: [
                 Candidate(T, hypothesis.moved, render(model, T, task.goal.camera, fine))
                 for hypothesis in searcher.search(model)
                 for T in [searcher.motion(model, hypothesis)]
             ]
-            for instance, model in task.models.usable().items()
+            for instance, model in models.items()
         }
         background = np.minimum(fine.background.ravel(), MOST_COST)
         chosen = explain_jointly(candidates, background)
-        drawn = compose(chosen, background)
-        masks = object_masks(
-            drawn.owner.reshape(fine.background.shape), factor, task.goal.rgb, found.score > _FOREGROUND
-        )
+        owner = compose(chosen, background).owner.reshape(fine.background.shape)
+        masks = object_masks(owner, factor, task.goal.rgb, found.score > _FOREGROUND)
         masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}
-        placements = tuple(
-            Placement(
-                instance,
-                chosen[instance].T_goal_current,
-                Segment(mask, instance=instance),
-                trust(instance, chosen, candidates[instance], background),
-            )
-            for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax()))
-        )
-        return Explanation(placements, unexplained(task.segments, masks))
+        placements: list[Placement] = []
+        for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax())):
+            judged = judge(instance, chosen, candidates[instance], models, background, scan.table, task.goal.camera)
+            segment = Segment(mask, instance=instance)
+            T = chosen[instance].T_goal_current
+            placements.append(Placement(instance, T, segment, trust(judged), judged))
+        return Explanation(tuple(placements), unexplained(task.segments, masks))
 
     def _factor(self, goal: Frame, T_world_table: Float) -> int:
         """Pixels of the goal image that are one pixel of the explained one."""

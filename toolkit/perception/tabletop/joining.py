@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
+from toolkit.perception.fusion import FusedModel
 from toolkit.perception.tabletop.table import inside_convex
 from toolkit.types import Float, Image
 
@@ -91,12 +92,33 @@ def join_pieces(
     return np.where(pieces >= 0, objects[pieces], -1)
 
 
+def kinship(one: FusedModel, other: FusedModel) -> float:
+    """How much two objects look like parts of one, 0..1: of one colour, close to each other, one compact outline."""
+    a, b = (_piece(model.points, model.colors) for model in (one, other))
+    some = [piece.points[:: max(len(piece.points) // _PROBES, 1)] for piece in (a, b)]
+    if not np.isfinite(KDTree(some[0]).query(some[1], distance_upper_bound=_GAP_M)[0]).any():
+        return 0.0
+    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
+    small, large = (a, b) if len(a.points) < len(b.points) else (b, a)
+    compact = _within(small.points, large.points) > _WITHIN or _spread(a.points, b.points) < _COMPACT
+    return alike if compact else 0.0
+
+
+def _piece(points: Float, colours: Float) -> _Piece:
+    cube = np.bincount(_bins(colours), minlength=_LEVELS**3).astype(np.float64)
+    smooth = gaussian_filter(cube.reshape(_LEVELS, _LEVELS, _LEVELS), _SMOOTH_BINS)
+    return _Piece(smooth.ravel(), float(len(points)), points.astype(np.float64))
+
+
+def _bins(colours: Image | Float) -> NDArray[np.int64]:
+    levels = colours.astype(np.int64) * _LEVELS // 256
+    return (levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]
+
+
 def _make(
     pieces: NDArray[np.int64], center: Float, of_pixel: NDArray[np.int64], colours: Image, cell: float, count: int
 ) -> list[_Piece]:
-    levels = colours.astype(np.int64) * _LEVELS // 256
-    bins = (levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]
-    owner = pieces[of_pixel]
+    bins, owner = _bins(colours), pieces[of_pixel]
     seen = owner >= 0
     flat = np.bincount(owner[seen] * _LEVELS**3 + bins[seen], minlength=count * _LEVELS**3).astype(np.float64)
     cubes = gaussian_filter(flat.reshape(count, _LEVELS, _LEVELS, _LEVELS), (0, *[_SMOOTH_BINS] * 3))

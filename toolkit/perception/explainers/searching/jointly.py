@@ -69,11 +69,6 @@ def compose(chosen: Mapping[int, Candidate], background: Float) -> Composition:
     return Composition(depth, cost, owner)
 
 
-def total(chosen: Mapping[int, Candidate], background: Float) -> float:
-    """Cost of an image explained by the chosen candidates."""
-    return float(compose(chosen, background).cost.sum()) + sum(candidate.prior for candidate in chosen.values())
-
-
 def explain_jointly(candidates: Mapping[int, Sequence[Candidate]], background: Float) -> dict[int, Candidate]:
     """Choose for every instance one of its candidates or none.
 
@@ -88,19 +83,20 @@ def explain_jointly(candidates: Mapping[int, Sequence[Candidate]], background: F
     while True:
         drawn = compose(chosen, background)
         changes = [
-            (_change(drawn, candidate), instance, number)
+            (change(drawn, candidate), instance, number)
             for instance, options in candidates.items()
             if instance not in chosen
             for number, candidate in enumerate(options)
         ]
-        change, instance, number = min(changes, default=(0.0, 0, 0))
-        if change >= 0:
+        least, instance, number = min(changes, default=(0.0, 0, 0))
+        if least >= 0:
             return chosen
         chosen[instance] = candidates[instance][number]
         chosen = _settled(chosen, candidates, background)
 
 
-def _change(drawn: Composition, candidate: Candidate) -> float:
+def change(drawn: Composition, candidate: Candidate) -> float:
+    """What it adds to the cost of a composition to place a candidate in it too; negative where it explains more."""
     r = candidate.rendering
     nearest = r.depth < drawn.depth[r.pixels]
     return float((r.cost[nearest] - drawn.cost[r.pixels[nearest]]).sum()) + candidate.prior
@@ -115,9 +111,9 @@ def _settled(
         for instance in list(chosen):
             rest = {i: c for i, c in chosen.items() if i != instance}
             drawn = compose(rest, background)
-            changes = [(_change(drawn, candidate), number) for number, candidate in enumerate(candidates[instance])]
-            change, number = min(changes)
-            chosen = rest if change >= 0 else {**rest, instance: candidates[instance][number]}
+            changes = [(change(drawn, candidate), number) for number, candidate in enumerate(candidates[instance])]
+            least, number = min(changes)
+            chosen = rest if least >= 0 else {**rest, instance: candidates[instance][number]}
         if chosen == before:
             break
     return chosen

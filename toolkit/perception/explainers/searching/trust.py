@@ -1,4 +1,4 @@
-"""How likely a placement is right: that this is the instance, and that its segment is its own."""
+"""How likely a placement is right: that it is one whole object, this instance, and that it stands there."""
 
 from __future__ import annotations
 
@@ -6,36 +6,109 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from toolkit.geometry import invert, project
 from toolkit.perception.explainers.searching.evidence import MOST_COST
-from toolkit.perception.explainers.searching.jointly import Candidate, compose
-from toolkit.types import Float
+from toolkit.perception.explainers.searching.jointly import Candidate, Composition, change, compose
+from toolkit.perception.fusion import FusedModel
+from toolkit.perception.tabletop.joining import kinship
+from toolkit.perception.tabletop.table import Table
+from toolkit.types import Camera, Float
 
-_WEIGHTS = np.array([4.0, 3.0, 1.0])
-_BIAS = -3.0
+_WEIGHTS = {
+    "agreement": 4.0,
+    "gain": 3.0,
+    "visible": 1.0,
+    "inside": 1.0,
+    "height": 1.0,
+    "alone": 1.0,
+    "lead": 1.0,
+    "size": 0.0,
+    "still": 0.5,
+    "views": 0.5,
+}
+_BIAS = -6.0
+
+_TALL_M = 0.03
+_LARGE_PX = 5000.0
+_ELSEWHERE_M, _ELSEWHERE_RAD = 0.02, 0.2
+"""A candidate this far from the chosen one is another answer."""
 
 
-def features(instance: int, chosen: Mapping[int, Candidate], background: Float) -> Float:
-    """What a placement is judged by.
+def judge(
+    instance: int,
+    chosen: Mapping[int, Candidate],
+    options: Sequence[Candidate],
+    models: Mapping[int, FusedModel],
+    background: Float,
+    table: Table,
+    camera: Camera,
+) -> dict[str, float]:
+    """What a placement is judged by, each from 0 (bad) to 1.
 
     Args:
-        instance: the instance.
+        instance: the instance placed.
         chosen: all candidates of the explanation, by instance.
+        options: all candidates of this instance.
+        models: of all instances.
         background: (P,) cost of the image without any of them.
+        table: the table.
+        camera: the goal image's.
 
     Returns:
-        (3,) how well it agrees with the pixels it shows in, how much better than the empty table, and which part of it
-        nothing hides.
+        By name: `agreement` with the pixels it shows in; `gain` over the empty table there; `visible`, the part of it
+        that nothing hides, and `inside`, the part that lies in the image; `height` above the table; `alone`, how little
+        it looks like a part of something larger; `lead` over its next best place, or over being absent; `size`;
+        `still`, 1 where it was not moved; `views`, the part of the current frames that saw it.
     """
+    model, own = models[instance], chosen[instance]
     drawn = compose(chosen, background)
-    own = np.flatnonzero(drawn.owner == instance)
-    if not len(own):
-        return np.zeros(3)
-    agreement = 1 - float(drawn.cost[own].mean()) / MOST_COST
-    gain = float((background[own] - drawn.cost[own]).mean()) / MOST_COST
-    visible = len(own) / max(len(chosen[instance].rendering.pixels), 1)
-    return np.array([agreement, gain, visible])
+    pixels = np.flatnonzero(drawn.owner == instance)
+    count = max(len(pixels), 1)
+    T = table.T_world_table
+    heights = (model.points - T[:3, 3]) @ T[:3, 2]
+    others = [other for i, other in models.items() if i != instance]
+    return {
+        "agreement": 1 - float(drawn.cost[pixels].sum()) / count / MOST_COST,
+        "gain": float((background[pixels] - drawn.cost[pixels]).sum()) / count / MOST_COST,
+        "visible": len(pixels) / max(len(own.rendering.pixels), 1),
+        "inside": _inside(model, own.T_goal_current, camera),
+        "height": min(float(np.percentile(heights, 95)) / _TALL_M, 1.0),
+        "alone": 1 - max((kinship(model, other) for other in others), default=0.0),
+        "lead": _lead(instance, chosen, options, background, model) / count / MOST_COST,
+        "size": min(len(pixels) / _LARGE_PX, 1.0),
+        "still": float(not own.moved),
+        "views": float(len(model.patches) / max(len(table.frames), 1)),
+    }
 
 
-def trust(instance: int, chosen: Mapping[int, Candidate], options: Sequence[Candidate], background: Float) -> float:
-    """Probability 0..1; arguments as `features`, with all candidates of the instance."""
-    return float(1 / (1 + np.exp(-(features(instance, chosen, background) @ _WEIGHTS + _BIAS))))
+def trust(judged: Mapping[str, float]) -> float:
+    """Probability 0..1, by logistic regression (experiments/benchmarks/trust.py) on what `judge` returns."""
+    return float(1 / (1 + np.exp(-(sum(_WEIGHTS[name] * value for name, value in judged.items()) + _BIAS))))
+
+
+def _inside(model: FusedModel, T_goal_current: Float, camera: Camera) -> float:
+    """Share of the model that lies in the image."""
+    pixels, _ = project(camera.K, invert(camera.T_world_camera) @ T_goal_current, model.points.astype(np.float64))
+    size = np.array([camera.width, camera.height])
+    return float(((pixels >= 0) & (pixels <= size - 1)).all(axis=1).mean())
+
+
+def _lead(
+    instance: int,
+    chosen: Mapping[int, Candidate],
+    options: Sequence[Candidate],
+    background: Float,
+    model: FusedModel,
+) -> float:
+    """By how much the explanation would cost more without it, or with it elsewhere."""
+    drawn: Composition = compose({i: c for i, c in chosen.items() if i != instance}, background)
+    own = chosen[instance]
+    elsewhere = [change(drawn, c) for c in options if _is_elsewhere(c, own, model)]
+    return min([0.0, *elsewhere]) - change(drawn, own)
+
+
+def _is_elsewhere(candidate: Candidate, own: Candidate, model: FusedModel) -> bool:
+    between = invert(own.T_goal_current) @ candidate.T_goal_current
+    shift = float(np.linalg.norm(between[:3, :3] @ model.center + between[:3, 3] - model.center))
+    turn = float(np.arccos(((np.trace(between[:3, :3]) - 1) / 2).clip(-1, 1)))
+    return shift > _ELSEWHERE_M or turn > _ELSEWHERE_RAD
