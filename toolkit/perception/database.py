@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ class Database:
     Attributes:
         frames: the frames the regions were seen in.
         regions: R regions (S, P and E of the paper).
-        instances: (R,) int64 object instance of every region, 0..K-1.
+        instances: (R,) int64 object instance of every region.
         descriptors: (R, d) float32 unit rows (G of the paper).
         dropped: segments that gave no region (too few measured points), counted so that nothing vanishes silently.
     """
@@ -55,6 +56,13 @@ class Database:
     def instance(self, instance: int) -> list[int]:
         """Rows of one object instance: H[u] of the paper."""
         return np.flatnonzero(self.instances == instance).tolist()
+
+    def joined(self, groups: Sequence[Sequence[int]]) -> Database:
+        """The same regions, the instances of each group taken for the first one of it; no other id changes."""
+        instances = self.instances.copy()
+        for first, *others in groups:
+            instances[np.isin(instances, others)] = first
+        return replace(self, instances=instances)
 
     def save(self, path: Path) -> None:
         """Write everything to one .npz file, without pickle."""

@@ -58,7 +58,10 @@ class Explanation:
     Attributes:
         placements: instances found in it, each at most once, their segments disjoint.
         unknown: what stands on the table in it and is none of the current scene's instances.
+        joined: groups of instances that touch and were moved as one, so that they are one object; its placement is that
+            of the first.
     """
 
     placements: tuple[Placement, ...]
     unknown: tuple[Segment, ...]
+    joined: tuple[tuple[int, ...], ...] = ()

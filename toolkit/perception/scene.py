@@ -47,6 +47,10 @@ class Scene:
             segments = parts.stages.goal_segmenter.segment(goal, database.frames)
         with parts.meter.stage("explainer"):
             explanation = parts.stages.explainer.explain(ExplainTask(goal, tuple(segments), self.models))
+        if explanation is not None and explanation.joined:
+            database = self.database = self.database.joined(explanation.joined)
+            self.models = Models(database)
+            self._references.database = database
         if explanation is not None:
             segments = [*(p.segment for p in explanation.placements), *explanation.unknown]
         if not segments:

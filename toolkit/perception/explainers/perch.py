@@ -10,6 +10,7 @@ from toolkit.perception.explainers.searching.hypotheses import Searcher
 from toolkit.perception.explainers.searching.jointly import Candidate, compose, explain_jointly
 from toolkit.perception.explainers.searching.renderings import render
 from toolkit.perception.explainers.searching.segments import object_masks, unexplained
+from toolkit.perception.explainers.searching.together import joined, moved_together, owners
 from toolkit.perception.explainers.searching.trust import judge, trust
 from toolkit.perception.explanation import ExplainTask, Explanation, Placement
 from toolkit.perception.tabletop.appearance import render_table, scan_table
@@ -27,7 +28,7 @@ class PerchConfig(PluginConfig):
     pixel_mm: float = Field(3.0, gt=0, description="Size on the table of a pixel of the image that is explained.")
     step_mm: float = Field(25.0, gt=0, description="Distance between the places on the table that are tried.")
     yaws: int = Field(24, ge=1, description="Turns about the vertical that are tried at every place.")
-    kept: int = Field(6, ge=1, description="Places of an object that compete, besides the one where it stands now.")
+    kept: int = Field(12, ge=1, description="Places of an object that compete, besides the one where it stands now.")
     min_pixels: int = Field(60, ge=1, description="Objects of which the goal shows fewer pixels are left out.")
 
 
@@ -55,26 +56,27 @@ class Perch(Plugin):
             scan.table, task.goal.camera, coarse, fine, self.config.step_mm / 1e3, self.config.yaws, self.config.kept
         )
         models = task.models.usable()
+
+        def place(instance: int, T_goal_current: Float, moved: bool = True) -> Candidate:
+            return Candidate(T_goal_current, moved, render(models[instance], T_goal_current, task.goal.camera, fine))
+
         candidates = {
-            instance: [
-                Candidate(T, hypothesis.moved, render(model, T, task.goal.camera, fine))
-                for hypothesis in searcher.search(model)
-                for T in [searcher.motion(model, hypothesis)]
-            ]
+            instance: [place(instance, searcher.motion(model, h), h.moved) for h in searcher.search(model)]
             for instance, model in models.items()
         }
         background = np.minimum(fine.background.ravel(), MOST_COST)
         chosen = explain_jointly(candidates, background)
-        owner = compose(chosen, background).owner.reshape(fine.background.shape)
+        groups = moved_together(chosen, models, background, place)
+        chosen = joined(chosen, groups, place)
+        owner = owners(compose(chosen, background).owner, groups).reshape(fine.background.shape)
         masks = object_masks(owner, factor, task.goal.rgb, found.score > _FOREGROUND)
         masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}
         placements: list[Placement] = []
         for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax())):
             judged = judge(instance, chosen, candidates[instance], models, background, scan.table, task.goal.camera)
-            segment = Segment(mask, instance=instance)
-            T = chosen[instance].T_goal_current
+            segment, T = Segment(mask, instance=instance), chosen[instance].T_goal_current
             placements.append(Placement(instance, T, segment, trust(judged), judged))
-        return Explanation(tuple(placements), unexplained(task.segments, masks))
+        return Explanation(tuple(placements), unexplained(task.segments, masks), groups)
 
     def _factor(self, goal: Frame, T_world_table: Float) -> int:
         """Pixels of the goal image that are one pixel of the explained one."""

@@ -94,14 +94,19 @@ def join_pieces(
 
 def kinship(one: FusedModel, other: FusedModel) -> float:
     """How much two objects look like parts of one, 0..1: of one colour, close to each other, one compact outline."""
-    a, b = (_piece(model.points, model.colors) for model in (one, other))
-    some = [piece.points[:: max(len(piece.points) // _PROBES, 1)] for piece in (a, b)]
-    if not np.isfinite(KDTree(some[0]).query(some[1], distance_upper_bound=_GAP_M)[0]).any():
+    if not are_close(one.points, other.points):
         return 0.0
+    a, b = (_piece(model.points, model.colors) for model in (one, other))
     alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
     small, large = (a, b) if len(a.points) < len(b.points) else (b, a)
     compact = _within(small.points, large.points) > _WITHIN or _spread(a.points, b.points) < _COMPACT
     return alike if compact else 0.0
+
+
+def are_close(one: Float, other: Float) -> bool:
+    """Whether two clouds (N, 3), (M, 3) come as near to each other as parts of one object do."""
+    some = [points[:: max(len(points) // _PROBES, 1)] for points in (one, other)]
+    return bool(np.isfinite(KDTree(some[0]).query(some[1], distance_upper_bound=_GAP_M)[0]).any())
 
 
 def _piece(points: Float, colours: Float) -> _Piece:

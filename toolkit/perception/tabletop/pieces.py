@@ -101,7 +101,7 @@ def _objects(frames: tuple[Frame, ...], min_height: float, min_pixels: int) -> d
     reliefs = [relief(frame, plane, table, min_height) for frame, plane in table.seen()]
     found = {frame.index: np.zeros(frame.rgb.shape[:2], np.int32) for frame in frames}
     for r, labels in zip(reliefs, cut_objects(reliefs, table, min_pixels), strict=True):
-        found[r.frame.index] = _with_borders(labels, ~r.solid)
+        found[r.frame.index] = _with_borders(labels, r.unsure)
     return found
 
 

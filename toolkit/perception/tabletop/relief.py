@@ -38,6 +38,7 @@ class Relief:
         certain: (H, W) bool, those of them that are clearly higher.
         bare: (H, W) bool, the table itself.
         level: (H, W) bool, what lies on its plane, within the outline and beyond.
+        unsure: (H, W) bool, not measured, or flying above the table: it may belong to what is beside it.
     """
 
     frame: Frame
@@ -48,6 +49,7 @@ class Relief:
     certain: Mask
     bare: Mask
     level: Mask
+    unsure: Mask
 
 
 def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relief:
@@ -77,7 +79,8 @@ def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relie
     above = solid & (height > low) & (height < _TALLEST_M)
     things = above & inside
     flat = solid & (np.abs(height) < low)
-    return Relief(frame, plane, places, solid, things, things & (height > high), flat & inside, flat)
+    unsure = ~measured | (~solid & (raw > low))
+    return Relief(frame, plane, places, solid, things, things & (height > high), flat & inside, flat, unsure)
 
 
 def surfaces(depth: Float, noise: float) -> Mask:

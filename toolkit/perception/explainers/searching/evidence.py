@@ -22,8 +22,12 @@ _BEYOND_COST = 1.5
 _OBJECT_SCORE = 8.0
 """A score of `difference` that is as good as certain not to be table."""
 
-_DEVIATIONS = np.array([22.0, 12.0, 12.0], np.float32)
-"""Grey levels by which brightness, red against green and yellow against blue of one surface differ between images."""
+_SHADE, _TINT = 0.3, 0.2
+"""By how much the logarithm of a surface's brightness differs between images, since it was turned in the light; and its
+tint, red against green and yellow against blue as parts of its brightness."""
+
+_DARK = 20.0
+"""Grey levels added to the brightness, so that noise in dark pixels counts no more than elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +48,10 @@ class Evidence:
 
 
 def scaled(rgb: Float) -> Float:
-    """(..., 3) float32 opponent colours of (..., 3) RGB, in deviations of one surface between images."""
-    r, g, b = np.moveaxis(np.asarray(rgb, np.float32), -1, 0)
-    return np.stack([(r + g + b) / 3, (r - g) / 2, (r + g) / 4 - b / 2], axis=-1) / _DEVIATIONS
+    """(..., 3) float32 brightness and two tints of (..., 3) RGB, in deviations of one surface between images."""
+    r, g, b = np.moveaxis(np.asarray(rgb, np.float32).clip(0, 255), -1, 0)
+    level = (r + g + b) / 3 + _DARK
+    return np.stack([np.log(level) / _SHADE, (r - g) / level / _TINT, ((r + g) / 2 - b) / level / _TINT], axis=-1)
 
 
 def evidence(goal: Frame, found: Difference, surface: Mask, factor: int) -> Evidence:

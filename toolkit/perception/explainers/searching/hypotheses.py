@@ -19,7 +19,7 @@ _POINTS, _FINE_POINTS = 192, 512
 _FOREGROUND = 0.1
 """Places around which less of the image than this is foreground are not tried."""
 
-_DISTINCT_M, _DISTINCT_RAD = 0.03, 0.5
+_DISTINCT_M = 0.04
 _LEVELS = ((0.012, 0.13), (0.005, 0.05), (0.002, 0.02))
 """Steps in metres and radians by which a hypothesis is moved while it gains."""
 
@@ -78,7 +78,11 @@ class Searcher:
             turns = np.arange(self.yaws) * 2 * np.pi / self.yaws
             yaw, place = np.repeat(turns, len(places)), np.tile(places, (self.yaws, 1))
             scores = score_motions(self._sample(model, _POINTS), yaw, place, self.coarse, self.T_camera_table)
-            found += self._peaks(yaw, place[:, :2] - center[:2], scores)
+            by_yaw = scores.reshape(self.yaws, len(places))
+            found += [
+                Hypothesis(float(turns[by_yaw[:, i].argmax()]), places[i, :2] - center[:2])
+                for i in self._peaks(places[:, :2], by_yaw.max(axis=0))
+            ]
         return [still, *self._polished(model, center, found)]
 
     def motion(self, model: FusedModel, hypothesis: Hypothesis) -> Float:
@@ -123,16 +127,12 @@ class Searcher:
         )
         return Sample(*(np.pad(a, ((0, padding), *[(0, 0)] * (a.ndim - 1))).astype(np.float32) for a in arrays))
 
-    def _peaks(self, turns: Float, shifts: Float, scores: Float) -> list[Hypothesis]:
-        kept: list[Hypothesis] = []
-        for i in np.argsort(-scores, kind="stable")[: 100 * self.kept]:
-            near = [
-                h
-                for h in kept
-                if np.hypot(*(h.shift - shifts[i])) < _DISTINCT_M and abs(_wrapped(h.turn - turns[i])) < _DISTINCT_RAD
-            ]
-            if not near:
-                kept.append(Hypothesis(float(turns[i]), shifts[i]))
+    def _peaks(self, plan: Float, scores: Float) -> list[int]:
+        """Places by falling score, none near a better one: a small thing fits well at many places beside each other."""
+        kept: list[int] = []
+        for i in np.argsort(-scores, kind="stable").tolist():
+            if all(np.hypot(*(plan[i] - plan[k])) >= _DISTINCT_M for k in kept):
+                kept.append(i)
             if len(kept) == self.kept:
                 break
         return kept

@@ -16,7 +16,7 @@ from toolkit.perception.explainers.searching.renderings import Rendering
 from toolkit.types import Float
 
 _PRESENT, _MOVED = 0.4, 0.3
-"""Cost of an instance for every pixel it covers, and of one that was moved: what stood still is the simpler story."""
+"""Cost of an instance for every pixel it shows in, and of one that was moved: what stood still is the simpler story."""
 
 _LEAST_PX = 30.0
 _ROUNDS = 3
@@ -37,9 +37,9 @@ class Candidate:
     rendering: Rendering
 
     @property
-    def prior(self) -> float:
-        """What it costs before the image is looked at."""
-        return _LEAST_PX + (_PRESENT + _MOVED * self.moved) * len(self.rendering.pixels)
+    def cost(self) -> Float:
+        """(P,) of its pixels where they are seen: what they look like, and what it costs that something is there."""
+        return self.rendering.cost + _PRESENT + _MOVED * self.moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def compose(chosen: Mapping[int, Candidate], background: Float) -> Composition:
         r = candidate.rendering
         nearest = r.depth < depth[r.pixels]
         pixels = r.pixels[nearest]
-        depth[pixels], cost[pixels], owner[pixels] = r.depth[nearest], r.cost[nearest], instance
+        depth[pixels], cost[pixels], owner[pixels] = r.depth[nearest], candidate.cost[nearest], instance
     return Composition(depth, cost, owner)
 
 
@@ -99,7 +99,7 @@ def change(drawn: Composition, candidate: Candidate) -> float:
     """What it adds to the cost of a composition to place a candidate in it too; negative where it explains more."""
     r = candidate.rendering
     nearest = r.depth < drawn.depth[r.pixels]
-    return float((r.cost[nearest] - drawn.cost[r.pixels[nearest]]).sum()) + candidate.prior
+    return float((candidate.cost[nearest] - drawn.cost[r.pixels[nearest]]).sum()) + _LEAST_PX
 
 
 def _settled(
