@@ -21,6 +21,7 @@ STAGE_CHECKS: dict[str, str] = {
     "registration": "toolkit.plugin_kit.conformance.registration",
     "segmenter": "toolkit.plugin_kit.conformance.segmenter",
     "associator": "toolkit.plugin_kit.conformance.associator",
+    "explainer": "toolkit.plugin_kit.conformance.explainer",
     "descriptor": "toolkit.plugin_kit.conformance.descriptor",
     "index": "toolkit.plugin_kit.conformance.index",
     "retriever": "toolkit.plugin_kit.conformance.retriever",
