@@ -6,8 +6,13 @@ import jax.numpy as jnp
 from jax import Array
 
 
+def skew(v: Array) -> Array:
+    """(..., 3, 3) matrices of the cross product with (..., 3) vectors."""
+    return jnp.cross(v[..., None, :], jnp.eye(3), axisc=-2)
+
+
 def rotation_exp(w: Array) -> Array:
     """(3, 3) rotation exp([w]_x) of a (3,) rotation vector in radians (Rodrigues), safe at zero."""
     angle = jnp.linalg.norm(w)
-    W = jnp.cross(w, jnp.eye(3), axisb=0, axisc=0)
+    W = skew(w)
     return jnp.eye(3) + jnp.sinc(angle / jnp.pi) * W + 0.5 * jnp.sinc(angle / (2 * jnp.pi)) ** 2 * (W @ W)

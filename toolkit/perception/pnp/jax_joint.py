@@ -14,7 +14,8 @@ from pydantic import Field
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.perception.pnp.jax_ransac import JaxRansac
 from toolkit.perception.pnp.solving.base import PnPConfig, RobustPnP
-from toolkit.perception.pnp.solving.joint import Evidence, Motion, covariance, polish, search_planar
+from toolkit.perception.pnp.solving.damped import Pose
+from toolkit.perception.pnp.solving.joint import Evidence, covariance, polish, search_planar
 from toolkit.perception.pnp.solving.padding import pad_rows
 from toolkit.types import Correspondences, Float
 
@@ -82,9 +83,9 @@ def _float64_on_cpu() -> ExitStack:
     return stack
 
 
-def _motion(problem: Correspondences, T_camera_world: Float, center: Float) -> Motion:
+def _motion(problem: Correspondences, T_camera_world: Float, center: Float) -> Pose:
     T = problem.camera.T_world_camera @ T_camera_world
-    return Motion(jnp.asarray(T[:3, :3]), jnp.asarray(transform_points(T, center)))
+    return Pose(jnp.asarray(T[:3, :3]), jnp.asarray(transform_points(T, center)))
 
 
 def _draw_pairs(weights: Float, seed: int) -> NDArray[np.int32]:

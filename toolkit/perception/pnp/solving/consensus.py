@@ -7,13 +7,14 @@ hypotheses run in a `while_loop` that stops when enough have been seen. Chum et 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 from toolkit.perception.pnp.solving.p3p import p3p
 
 _OPTIMISED = 8
@@ -21,6 +22,8 @@ _OPTIMISED = 8
 _WIDE, _STEPS = 2.0, 4
 """Local optimisation first accepts errors `_WIDE` times as large, so that an inexact start collects its inliers."""
 _POLISH_STEPS = 12
+_RIDGE = 1e-12
+"""Keeps the equations solvable where no point is an inlier."""
 
 
 class Problem(NamedTuple):
@@ -41,13 +44,6 @@ class Problem(NamedTuple):
     threshold: Array
 
 
-class Pose(NamedTuple):
-    """Rotation (..., 3, 3) and translation (..., 3), problem to camera."""
-
-    R: Array
-    t: Array
-
-
 class _Search(NamedTuple):
     round: Array
     cost: Array
@@ -64,7 +60,7 @@ def search(problem: Problem, samples: Array, confidence: Array) -> tuple[Pose, A
         confidence: (), probability with which one sample shall have been free of outliers before the search stops.
 
     Returns:
-        The pose, and its cost in squared pixels: infinite when no sample had a solution.
+        The pose, problem to camera, and its cost in squared pixels: infinite when no sample had a solution.
     """
     rounds, hypotheses, _ = samples.shape
     count = problem.valid.sum()
@@ -127,26 +123,17 @@ def _total(problem: Problem, squared: Array, inlier: Array, threshold: Array) ->
 
 
 def _refine(problem: Problem, pose: Pose, thresholds: Array) -> Pose:
-    """Levenberg-Marquardt on SE(3) of the truncated cost: least squares on the inliers, which follow the pose.
+    """Least squares on the inliers, which follow the pose: the truncated cost's minimum nearest to a pose.
 
     Args:
         problem: the correspondences.
         pose: where to start.
         thresholds: (S,) inlier threshold of every step, pixels.
     """
-
-    def step(state: tuple[Pose, Array], threshold: Array) -> tuple[tuple[Pose, Array], None]:
-        pose, damping = state
-        trial, cost = _gauss_newton(problem, pose, threshold, damping)
-        better = _cost(problem, trial, threshold) < cost
-        pose = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, pose)
-        return (pose, damping * jnp.where(better, 0.1, 10.0)), None
-
-    return jax.lax.scan(step, (pose, jnp.array(1e-4)), thresholds)[0][0]
+    return descend(pose, thresholds, partial(_equations, problem), partial(_cost, problem), _RIDGE)
 
 
-def _gauss_newton(problem: Problem, pose: Pose, threshold: Array, damping: Array) -> tuple[Pose, Array]:
-    """One damped step over (w, v), with R <- exp(w) R and t <- t + v; and the cost before it."""
+def _equations(problem: Problem, pose: Pose, threshold: Array) -> Equations:
     rotated = pose.R @ problem.points.T
     X = rotated + pose.t[:, None]
     residuals, squared, inlier = _residuals(problem, X, threshold)
@@ -157,8 +144,5 @@ def _gauss_newton(problem: Problem, pose: Pose, threshold: Array, damping: Array
     by_x = jnp.stack([y * b, z * a - x * b, -y * a, a, zero, b])
     by_y = jnp.stack([y * d - z * c, -x * d, x * c, zero, c, d])
     J = jnp.where(inlier, jnp.stack([by_x, by_y], axis=1), 0.0).reshape(6, -1)
-    normal = J @ J.T
-    # The tiny constant keeps the system solvable where no point is an inlier.
-    normal = normal + jnp.diag(damping * jnp.diagonal(normal) + 1e-12)
-    step = -jnp.linalg.solve(normal, J @ jnp.where(inlier, residuals, 0.0).ravel())
-    return Pose(rotation_exp(step[:3]) @ pose.R, pose.t + step[3:]), _total(problem, squared, inlier, threshold)
+    gradient = J @ jnp.where(inlier, residuals, 0.0).ravel()
+    return Equations(J @ J.T, gradient, _total(problem, squared, inlier, threshold))

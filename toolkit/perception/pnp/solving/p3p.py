@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from toolkit.perception.jax_geometry import skew
+
 _NEWTON_STEPS = 2
 
 
@@ -47,7 +49,7 @@ def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
     adj1, adj2 = _adjugate(D1), _adjugate(D2)
     gamma = _real_root(jnp.sum(D2 * adj2) / 3, jnp.sum(D1 * adj2), jnp.sum(adj1 * D2), jnp.sum(D1 * adj1) / 3)
     lines, lines_real = _split(D1 + gamma * D2)
-    cross = jax.vmap(_skew)(lines)
+    cross = skew(lines)
     depths, points_real = jax.vmap(_split)(jnp.swapaxes(cross, 1, 2) @ D1 @ cross)
 
     depths = depths.reshape(4, 3)
@@ -87,7 +89,7 @@ def _split(conic: Array) -> tuple[Array, Array]:
     crossed = -_adjugate(conic)
     k = jnp.argmax(jnp.diagonal(crossed))
     square = crossed[k, k]
-    rank_one = conic + _skew(crossed[:, k] / jnp.sqrt(jnp.abs(square)))
+    rank_one = conic + skew(crossed[:, k] / jnp.sqrt(jnp.abs(square)))
     row, column = jnp.divmod(jnp.argmax(jnp.abs(rank_one)), 3)
     return jnp.stack([rank_one[row], rank_one[:, column]]), square > 0
 
@@ -95,11 +97,6 @@ def _split(conic: Array) -> tuple[Array, Array]:
 def _adjugate(A: Array) -> Array:
     """(3, 3) adjugate of a symmetric matrix."""
     return jnp.stack([jnp.cross(A[1], A[2]), jnp.cross(A[2], A[0]), jnp.cross(A[0], A[1])])
-
-
-def _skew(v: Array) -> Array:
-    """(3, 3) matrix of the cross product with v."""
-    return jnp.cross(v, jnp.eye(3), axisb=0, axisc=0)
 
 
 def _frame(triangle: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.jax_geometry import rotation_exp, skew
 
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
@@ -243,9 +243,7 @@ def _project(world: jax.Array, goal: GoalImage) -> tuple[jax.Array, jax.Array]:
 
 def _motion(turned: jax.Array) -> jax.Array:
     """(M, 3, 6) derivative of moved points by (turn, shift)."""
-    x, y, z = turned.T
-    zero = jnp.zeros_like(x)
-    turn = jnp.stack([jnp.stack([zero, z, -y], 1), jnp.stack([-z, zero, x], 1), jnp.stack([y, -x, zero], 1)], axis=1)
+    turn = skew(-turned)
     return jnp.concatenate([turn, jnp.broadcast_to(jnp.eye(3), turn.shape)], axis=2)
 
 
