@@ -15,7 +15,7 @@ _NORMAL = 1.4826
 def deviation(residual: Float, axis: int | None = None) -> Any:
     """Standard deviation of normal residuals about zero, of which less than half are outliers; NaN of none.
 
-    Not SciPy's `median_abs_deviation`, which is about the median, takes twice the time, and comes with scipy.stats: half
-    a second to import.
+    Not SciPy's `median_abs_deviation`, which is about the median, takes twice the time, and comes with scipy.stats,
+    half a second to import.
     """
     return _NORMAL * np.median(np.abs(residual), axis=axis)

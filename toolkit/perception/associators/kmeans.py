@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import KMeans
 
+from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
 
@@ -24,7 +25,7 @@ class KMeansConfig(PluginConfig):
     center: Literal["box", "mean"] = Field("box", description="Middle of the cloud's box in plan, or its mean (paper).")
 
 
-class KMeansAssociator(Plugin):
+class KMeansAssociator(Plugin[KMeansConfig], Associator):
     """K-means on region centres (Sec. Method A).
 
     The paper does not say how K is found. One frame never shows an object twice, so K is at least the largest number
@@ -37,8 +38,6 @@ class KMeansAssociator(Plugin):
 
     stage = "associator"
     name = "kmeans"
-    Config = KMeansConfig
-    config: KMeansConfig
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""

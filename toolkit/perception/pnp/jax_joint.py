@@ -31,7 +31,7 @@ class JointConfig(PnPConfig):
     )
 
 
-class JaxJoint(RobustPnP):
+class JaxJoint(RobustPnP[JointConfig]):
     """Weighted M-estimation over all candidates' matches by Levenberg-Marquardt, with covariance; see `joint`.
 
     Matches count by their score. Under the planar prior two of them make a hypothesis; without it the search is that of
@@ -39,11 +39,8 @@ class JaxJoint(RobustPnP):
     """
 
     name = "jax_joint"
-    Config = JointConfig
-    config: JointConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
-        """See RobustPnP."""
         center = problem.points.mean(axis=0)
         with _float64_on_cpu():
             evidence = self._evidence(problem, center)
@@ -59,7 +56,6 @@ class JaxJoint(RobustPnP):
         return invert(problem.camera.T_world_camera) @ make_transform(R, t - R @ center)
 
     def covariance(self, problem: Correspondences, T_camera_world: Float) -> Float:
-        """See RobustPnP."""
         center = problem.points.mean(axis=0)
         with _float64_on_cpu():
             motion = _motion(problem, T_camera_world, center)
