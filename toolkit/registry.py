@@ -56,7 +56,8 @@ class Plugin(Generic[ConfigT]):
             for base in vars(cls).get("__orig_bases__", ()):
                 if issubclass(get_origin(base) or object, Plugin):
                     (config,) = get_args(base)
-                    cls.Config = config.__bound__ if isinstance(config, TypeVar) else config
+                    # Of a family of plugins, the settings that all members have.
+                    cls.Config = getattr(config, "__bound__", config)
 
     def __init__(self, config: ConfigT | None = None) -> None:
         self.config = config if config is not None else cast(ConfigT, self.Config())

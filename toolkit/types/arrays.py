@@ -14,7 +14,14 @@ Float = NDArray[np.floating[Any]]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_ACCEPTED = {np.uint8: "u", np.bool_: "b", np.int32: "iu", np.int64: "iu", np.float32: "fiu", np.float64: "fiu"}
+_ACCEPTED: dict[Any, str] = {
+    np.uint8: "u",
+    np.bool_: "b",
+    np.int32: "iu",
+    np.int64: "iu",
+    np.float32: "fiu",
+    np.float64: "fiu",
+}
 """What is wanted -> kinds of arrays that are it already, or become it without loss of meaning."""
 
 

@@ -45,9 +45,9 @@ class Camera:
             away < _FAR_M,
             f"the camera is {away:.0f} m from the world's origin; poses are in metres, so divide millimetres by 1000",
         )
-        whole = all(isinstance(side, int | np.integer) and side > 0 for side in (self.width, self.height))
+        whole = all(side > 0 and float(side).is_integer() for side in (self.width, self.height))
         require(whole, f"image size must be whole pixels, at least 1x1, got {self.width}x{self.height}")
-        freeze(self, K=K, T_world_camera=T)
+        freeze(self, K=K, T_world_camera=T, width=int(self.width), height=int(self.height))
 
 
 @dataclass(frozen=True, eq=False)

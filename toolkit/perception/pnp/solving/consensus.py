@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float, Int
 
 from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 from toolkit.perception.pnp.solving.p3p import p3p
@@ -30,34 +31,36 @@ class Problem(NamedTuple):
     """Padded correspondences.
 
     Attributes:
-        points: (B, 3) centred and scaled to unit size.
-        rays: (B, 2) image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
-        valid: (B,) bool, False for padding.
-        focal: (2,) fx and fy, pixels.
-        threshold: (), pixels.
+        points: centred and scaled to unit size.
+        rays: image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
+        valid: False for padding.
+        focal: fx and fy, pixels.
+        threshold: pixels.
     """
 
-    points: Array
-    rays: Array
-    valid: Array
-    focal: Array
-    threshold: Array
+    points: Float[Array, "N 3"]
+    rays: Float[Array, "N 2"]
+    valid: Bool[Array, " N"]
+    focal: Float[Array, " 2"]
+    threshold: Float[Array, ""]
 
 
 class _Search(NamedTuple):
-    round: Array
-    cost: Array
+    round: Int[Array, ""]
+    cost: Float[Array, ""]
     pose: Pose
 
 
 @jax.jit
-def search(problem: Problem, samples: Array, confidence: Array) -> tuple[Pose, Array]:
+def search(
+    problem: Problem, samples: Int[Array, "rounds hypotheses 3"], confidence: Float[Array, ""]
+) -> tuple[Pose, Float[Array, ""]]:
     """Find the pose of the smallest truncated squared reprojection error.
 
     Args:
         problem: the correspondences.
-        samples: (rounds, hypotheses, 3) int32 rows of minimal samples.
-        confidence: (), probability with which one sample shall have been free of outliers before the search stops.
+        samples: rows of minimal samples.
+        confidence: probability with which one sample shall have been free of outliers before the search stops.
 
     Returns:
         The pose, problem to camera, and its cost in squared pixels: infinite when no sample had a solution.
@@ -65,7 +68,7 @@ def search(problem: Problem, samples: Array, confidence: Array) -> tuple[Pose, A
     rounds, hypotheses, _ = samples.shape
     count = problem.valid.sum()
 
-    def unfinished(search: _Search) -> Array:
+    def unfinished(search: _Search) -> Bool[Array, ""]:
         # cost / threshold^2 is at least the number of outliers, so this is a lower bound of the inlier share.
         share = jnp.maximum(1 - search.cost / (problem.threshold**2 * count), 0.0)
         needed = jnp.log1p(-confidence) / jnp.log1p(-(jnp.minimum(share, 0.999) ** 3))
@@ -88,7 +91,7 @@ def polish(problem: Problem, pose: Pose) -> Pose:
     return _refine(problem, pose, jnp.full(_POLISH_STEPS, problem.threshold))
 
 
-def _best_of_round(problem: Problem, samples: Array) -> tuple[Pose, Array]:
+def _best_of_round(problem: Problem, samples: Int[Array, "hypotheses 3"]) -> tuple[Pose, Float[Array, ""]]:
     bearings = jnp.concatenate([problem.rays, jnp.ones_like(problem.rays[:, :1])], axis=1)
     bearings = bearings / jnp.linalg.norm(bearings, axis=1, keepdims=True)
     R, t, real = jax.vmap(p3p)(problem.points[samples], bearings[samples])
@@ -104,36 +107,40 @@ def _best_of_round(problem: Problem, samples: Array) -> tuple[Pose, Array]:
     return Pose(poses.R[winner], poses.t[winner]), costs[winner]
 
 
-def _cost(problem: Problem, pose: Pose, threshold: Array) -> Array:
-    """(...,) sum of squared errors, pixels^2, each at most threshold^2; so are points behind the camera."""
+def _cost(problem: Problem, pose: Pose, threshold: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """Sum of squared errors, pixels^2, each at most threshold^2; so are points behind the camera."""
     X = pose.R @ problem.points.T + pose.t[..., None]
     _, squared, inlier = _residuals(problem, X, threshold)
     return _total(problem, squared, inlier, threshold)
 
 
-def _residuals(problem: Problem, X: Array, threshold: Array) -> tuple[Array, Array, Array]:
-    """Of (..., 3, B) camera points: (..., 2, B) errors in pixels, (..., B) squared, (..., B) which are inliers."""
+def _residuals(
+    problem: Problem, X: Float[Array, "*batch 3 N"], threshold: Float[Array, ""]
+) -> tuple[Float[Array, "*batch 2 N"], Float[Array, "*batch N"], Bool[Array, "*batch N"]]:
+    """Of camera points: errors in pixels, squared errors, and which are inliers."""
     errors = (X[..., :2, :] / X[..., 2:, :] - problem.rays.T) * problem.focal[:, None]
     squared = jnp.sum(errors**2, axis=-2)
     return errors, squared, problem.valid & (X[..., 2, :] > 0) & (squared < threshold**2)
 
 
-def _total(problem: Problem, squared: Array, inlier: Array, threshold: Array) -> Array:
+def _total(
+    problem: Problem, squared: Float[Array, "*batch N"], inlier: Bool[Array, "*batch N"], threshold: Float[Array, ""]
+) -> Float[Array, "*batch"]:
     return jnp.sum(jnp.where(inlier, squared, jnp.where(problem.valid, threshold**2, 0.0)), axis=-1)
 
 
-def _refine(problem: Problem, pose: Pose, thresholds: Array) -> Pose:
+def _refine(problem: Problem, pose: Pose, thresholds: Float[Array, " steps"]) -> Pose:
     """Least squares on the inliers, which follow the pose: the truncated cost's minimum nearest to a pose.
 
     Args:
         problem: the correspondences.
         pose: where to start.
-        thresholds: (S,) inlier threshold of every step, pixels.
+        thresholds: inlier threshold of every step, pixels.
     """
     return descend(pose, thresholds, partial(_equations, problem), partial(_cost, problem), _RIDGE)
 
 
-def _equations(problem: Problem, pose: Pose, threshold: Array) -> Equations:
+def _equations(problem: Problem, pose: Pose, threshold: Float[Array, ""]) -> Equations:
     rotated = pose.R @ problem.points.T
     X = rotated + pose.t[:, None]
     residuals, squared, inlier = _residuals(problem, X, threshold)

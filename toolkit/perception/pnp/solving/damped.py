@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from toolkit.perception.jax_geometry import rotation_exp
 
@@ -17,45 +18,45 @@ _EASED, _STIFFENED = 0.1, 10.0
 
 
 class Pose(NamedTuple):
-    """Rotation (..., 3, 3) and translation (..., 3)."""
+    """Rotation and translation."""
 
-    R: Array
-    t: Array
+    R: Float[Array, "*batch 3 3"]
+    t: Float[Array, "*batch 3"]
 
 
 class Equations(NamedTuple):
     """A cost linearised at a pose, for steps (w, v) that take R to exp(w) R and t to t + v.
 
     Attributes:
-        H: (6, 6) Gauss-Newton matrix.
-        gradient: (6,).
-        cost: () at the pose.
+        H: Gauss-Newton matrix.
+        gradient: half the cost's.
+        cost: at the pose.
     """
 
-    H: Array
-    gradient: Array
-    cost: Array
+    H: Float[Array, "6 6"]
+    gradient: Float[Array, " 6"]
+    cost: Float[Array, ""]
 
 
 def descend(
     pose: Pose,
-    scales: Array,
-    linearise: Callable[[Pose, Array], Equations],
-    cost: Callable[[Pose, Array], Array],
-    ridge: Array | float,
+    scales: Float[Array, " steps"],
+    linearise: Callable[[Pose, Float[Array, ""]], Equations],
+    cost: Callable[[Pose, Float[Array, ""]], Float[Array, ""]],
+    ridge: Float[Array, " 6"] | float,
 ) -> Pose:
     """Take one damped step for every scale; those that do not lower the cost are taken back.
 
     Args:
         pose: where to start.
-        scales: (S,) of every step, whatever the cost takes them for.
+        scales: of every step, whatever the cost takes them for.
         linearise: the cost's equations at a pose, at a scale.
-        cost: () at a pose, at a scale.
-        ridge: () or (6,) added to the diagonal of H: what keeps the system solvable where nothing counts, and large
+        cost: at a pose, at a scale.
+        ridge: added to the diagonal of H: what keeps the system solvable where nothing counts, and large
             for what must not move.
     """
 
-    def step(state: tuple[Pose, Array], scale: Array) -> tuple[tuple[Pose, Array], None]:
+    def step(state: tuple[Pose, Float[Array, ""]], scale: Float[Array, ""]) -> tuple[tuple[Pose, Array], None]:
         pose, damping = state
         H, gradient, before = linearise(pose, scale)
         delta = -jnp.linalg.solve(H + jnp.diag(damping * jnp.diagonal(H) + ridge), gradient)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float, Int
 
 from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 
@@ -31,27 +32,27 @@ class Evidence(NamedTuple):
     """Padded correspondences and the camera that sees the moved points.
 
     Attributes:
-        points: (B, 3) world, less their mean, metres.
-        rays: (B, 2) image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
-        weights: (B,) 0..1, 0 for padding.
-        focal: (2,) fx and fy, pixels.
-        R: (3, 3) and
-        t: (3,) goal world to camera.
-        scale: (), pixels: errors of this size count half.
+        points: world, less their mean, metres.
+        rays: image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
+        weights: 0..1, 0 for padding.
+        focal: fx and fy, pixels.
+        R: rotation, goal world to camera.
+        t: translation, goal world to camera, metres.
+        scale: pixels: errors of this size count half.
     """
 
-    points: Array
-    rays: Array
-    weights: Array
-    focal: Array
-    R: Array
-    t: Array
-    scale: Array
+    points: Float[Array, "N 3"]
+    rays: Float[Array, "N 2"]
+    weights: Float[Array, " N"]
+    focal: Float[Array, " 2"]
+    R: Float[Array, "3 3"]
+    t: Float[Array, " 3"]
+    scale: Float[Array, ""]
 
 
 @jax.jit
-def search_planar(evidence: Evidence, samples: Array, height: Array) -> Pose:
-    """The best motion on the table of (H, 2) int32 samples; `height` () is that of the points' mean, metres."""
+def search_planar(evidence: Evidence, samples: Int[Array, "hypotheses 2"], height: Float[Array, ""]) -> Pose:
+    """The best motion on the table of samples of two rows; `height` is that of the points' mean, metres."""
     motions = jax.vmap(lambda rows: _from_two_points(evidence, rows, height))(samples)
     costs = jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(motions)
     _, best = jax.lax.top_k(-jnp.nan_to_num(costs, nan=jnp.inf), _OPTIMISED)
@@ -63,14 +64,14 @@ def search_planar(evidence: Evidence, samples: Array, height: Array) -> Pose:
 
 
 @jax.jit
-def polish(evidence: Evidence, start: Pose, free: Array) -> Pose:
-    """Take a motion to the nearest minimum of the robust cost; (6,) `free`: 1 for what of (turn, shift) may change."""
+def polish(evidence: Evidence, start: Pose, free: Float[Array, " 6"]) -> Pose:
+    """Take a motion to the nearest minimum of the robust cost; `free` is 1 for what of (turn, shift) may change."""
     return _refine(evidence, start, free, jnp.full(_POLISH_STEPS, evidence.scale))
 
 
 @jax.jit
-def covariance(evidence: Evidence, motion: Pose, free: Array) -> Array:
-    """(6, 6) covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
+def covariance(evidence: Evidence, motion: Pose, free: Float[Array, " 6"]) -> Float[Array, "6 6"]:
+    """Covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
     H = _equations(evidence, free, motion, evidence.scale).H
     squared, robust = _squared(evidence, motion), _robust(evidence, motion, evidence.scale)
     freedom = jnp.maximum(2 * robust.sum() - free.sum(), 1.0)
@@ -79,7 +80,7 @@ def covariance(evidence: Evidence, motion: Pose, free: Array) -> Array:
     return variance * jnp.linalg.inv(H + held) * jnp.outer(free, free)
 
 
-def _from_two_points(evidence: Evidence, rows: Array, height: Array) -> Pose:
+def _from_two_points(evidence: Evidence, rows: Int[Array, " 2"], height: Float[Array, ""]) -> Pose:
     points, rays = evidence.points[rows], evidence.rays[rows]
     # a . q + d = 0 for every pixel coordinate.
     a = (evidence.R[:2] - rays[..., None] * evidence.R[2]).reshape(4, 3)
@@ -92,31 +93,31 @@ def _from_two_points(evidence: Evidence, rows: Array, height: Array) -> Pose:
     return Pose(jnp.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]), jnp.stack([tx, ty, height]))
 
 
-def _seen(evidence: Evidence, motion: Pose) -> tuple[Array, Array, Array]:
-    """Of all points: (B, 3) turned, (B, 3) in the camera, (B, 2) errors in pixels."""
+def _seen(evidence: Evidence, motion: Pose) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"], Float[Array, "N 2"]]:
+    """All points turned, in the camera, and their errors in pixels."""
     turned = evidence.points @ motion.R.T
     camera = (turned + motion.t) @ evidence.R.T + evidence.t
     return turned, camera, (camera[:, :2] / camera[:, 2:] - evidence.rays) * evidence.focal
 
 
-def _squared(evidence: Evidence, motion: Pose) -> Array:
-    """(B,) squared errors in pixels, huge behind the camera."""
+def _squared(evidence: Evidence, motion: Pose) -> Float[Array, " N"]:
+    """Squared errors in pixels, huge behind the camera."""
     _, camera, errors = _seen(evidence, motion)
     return jnp.where(camera[:, 2] > 0, (errors**2).sum(axis=1), 1e12)
 
 
-def _robust(evidence: Evidence, motion: Pose, scale: Array) -> Array:
-    """(B,) Geman-McClure weights times the correspondences' own."""
+def _robust(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Array, " N"]:
+    """Geman-McClure weights times the correspondences' own."""
     return evidence.weights / (1 + _squared(evidence, motion) / scale**2) ** 2
 
 
-def _cost(evidence: Evidence, motion: Pose, scale: Array) -> Array:
-    """() Geman-McClure cost."""
+def _cost(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Array, ""]:
+    """Geman-McClure cost."""
     squared = _squared(evidence, motion)
     return (evidence.weights * squared / (squared + scale**2)).sum()
 
 
-def _equations(evidence: Evidence, free: Array, motion: Pose, scale: Array) -> Equations:
+def _equations(evidence: Evidence, free: Float[Array, " 6"], motion: Pose, scale: Float[Array, ""]) -> Equations:
     turned, camera, errors = _seen(evidence, motion)
     z = jnp.maximum(camera[:, 2:], 1e-6)
     flat = camera[:, :2] / z
@@ -129,7 +130,7 @@ def _equations(evidence: Evidence, free: Array, motion: Pose, scale: Array) -> E
     return Equations(H, jnp.einsum("m,mck,mc->k", weight, J, errors), _cost(evidence, motion, scale))
 
 
-def _refine(evidence: Evidence, motion: Pose, free: Array, scales: Array) -> Pose:
-    """Iteratively reweighted least squares from a motion; (S,) scales, pixels, one a step."""
+def _refine(evidence: Evidence, motion: Pose, free: Float[Array, " 6"], scales: Float[Array, " steps"]) -> Pose:
+    """Iteratively reweighted least squares from a motion; one scale in pixels for every step."""
     linearise = partial(_equations, evidence, free)
     return descend(motion, scales, linearise, partial(_cost, evidence), _RIDGE + (1 - free))

@@ -10,22 +10,25 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
 
 from toolkit.perception.jax_geometry import skew
 
 _NEWTON_STEPS = 2
 
 
-def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
+def p3p(
+    points: Float[Array, "3 3"], bearings: Float[Array, "3 3"]
+) -> tuple[Float[Array, "4 3 3"], Float[Array, "4 3"], Bool[Array, " 4"]]:
     """Solve for the up to four poses that take three points onto three rays.
 
     Args:
-        points: (3, 3) one world point a row, not collinear.
-        bearings: (3, 3) one unit viewing ray a row, camera coordinates.
+        points: one world point in every row, not collinear.
+        bearings: one unit viewing ray in every row, camera coordinates.
 
     Returns:
-        (4, 3, 3) rotations and (4, 3) translations, world to camera, and (4,) bool, which of them are real solutions;
-        the others hold arbitrary numbers.
+        Rotations and translations, world to camera, and which of them are real solutions; the others hold arbitrary
+        numbers.
     """
     i, j = jnp.array([0, 0, 1]), jnp.array([1, 2, 2])
     squared = jnp.sum((points[i] - points[j]) ** 2, axis=1)
@@ -62,7 +65,7 @@ def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
     return rotations, translations, valid & jnp.all(jnp.isfinite(translations), axis=1)
 
 
-def _real_root(a: Array, b: Array, c: Array, d: Array) -> Array:
+def _real_root(a: Float[Array, ""], b: Float[Array, ""], c: Float[Array, ""], d: Float[Array, ""]) -> Float[Array, ""]:
     """One real root of a x^3 + b x^2 + c x + d (Cardano), polished by Newton's method."""
     shift = b / (3 * a)
     p = c / a - 3 * shift**2
@@ -81,8 +84,8 @@ def _real_root(a: Array, b: Array, c: Array, d: Array) -> Array:
     return x
 
 
-def _split(conic: Array) -> tuple[Array, Array]:
-    """Factor a symmetric (3, 3) matrix of rank two, l m^T + m l^T: (2, 3) rows l and m, and whether they are real.
+def _split(conic: Float[Array, "3 3"]) -> tuple[Float[Array, "2 3"], Bool[Array, ""]]:
+    """Factor a symmetric matrix of rank two, l m^T + m l^T: rows l and m, and whether they are real.
 
     A degenerate conic becomes its two lines; the dual conic of a line's two points becomes the points.
     """
@@ -94,13 +97,13 @@ def _split(conic: Array) -> tuple[Array, Array]:
     return jnp.stack([rank_one[row], rank_one[:, column]]), square > 0
 
 
-def _adjugate(A: Array) -> Array:
-    """(3, 3) adjugate of a symmetric matrix."""
+def _adjugate(A: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Adjugate of a symmetric matrix."""
     return jnp.stack([jnp.cross(A[1], A[2]), jnp.cross(A[2], A[0]), jnp.cross(A[0], A[1])])
 
 
-def _frame(triangle: Array) -> Array:
-    """(3, 3) orthonormal axes, as columns, of a triangle's rows."""
+def _frame(triangle: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Orthonormal axes, as columns, of a triangle's rows."""
     x = triangle[1] - triangle[0]
     z = jnp.cross(x, triangle[2] - triangle[0])
     axes = jnp.stack([x / jnp.linalg.norm(x), z / jnp.linalg.norm(z)])
