@@ -296,6 +296,8 @@ def test_nothing_recompiles_after_warm_up(tasks):
     for task in tasks.values():
         REFINERS.create("render_compare").refine(replace(task, starts=(Start(rotation_z(1.0)),), others=()))
     assert not compilations
+    jax.jit(lambda x: x + 1)(jnp.ones(3))
+    assert compilations  # they would have been noticed
 
 
 def test_a_refiner_lets_go_of_scenes_that_are_done(tasks):
