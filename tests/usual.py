@@ -1,4 +1,4 @@
-"""The stages most tests run a pipeline with: true masks, quick parts, no refinement; and a matcher that does as told."""
+"""Stages that most tests run a pipeline with: true masks, quick parts, no refinement; a matcher that does as told."""
 
 from __future__ import annotations
 
