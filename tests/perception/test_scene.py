@@ -65,6 +65,13 @@ class Counted(PnP):
         return PnPSolution(np.eye(4), np.arange(len(problem)) < self.counts[(self.calls - 1) % len(self.counts)])
 
 
+class Helpless(PnP):
+    """Solves nothing."""
+
+    def solve(self, problem, seed):
+        return Failure("pnp", "helpless")
+
+
 class Moved(Registration):
     """Turns every camera's place about the vertical."""
 
@@ -95,19 +102,25 @@ def test_every_region_is_ranked_once_for_each_goal_object():
     assert len({tuple(ranking) for ranking in retriever.rankings}) > 1
 
 
-@pytest.mark.parametrize("assignment", ["truth", "global"])
-def test_an_assigned_object_is_looked_for_among_its_instance_only(assignment):
+def ranked_instances(**chosen):
+    """Instances that each goal object is looked for among."""
     retriever = Watched()
-    database, estimates = run(retriever=retriever, assignment=assignment)
-    ranked = [set(database.instances[ranking].tolist()) for ranking in retriever.rankings]
-    assert ranked == [{0}, {1}, {2}] and [e.instance for e in estimates] == [0, 1, 2]
+    database, _ = run(retriever=retriever, **chosen)
+    return [set(database.instances[ranking].tolist()) for ranking in retriever.rankings]
+
+
+def test_with_global_every_instance_is_given_once():
+    assert ranked_instances(assignment="global") == [{0}, {1}, {2}]
+
+
+def test_with_truth_nothing_but_the_truth_counts():
+    misled = {"descriptor": Alike(), "refiner": Telling(partners=[1, 2, 0])}
+    assert ranked_instances(assignment="truth", **misled) == [{0}, {1}, {2}]
 
 
 def test_the_refiner_decides_between_instances_that_look_alike():
-    retriever, partners = Watched(), [1, 2, 0]
-    database, _ = run(retriever=retriever, descriptor=Alike(), refiner=Telling(partners=partners), assignment="global")
-    ranked = [set(database.instances[ranking].tolist()) for ranking in retriever.rankings]
-    assert ranked == [{partner} for partner in partners]
+    chosen = {"descriptor": Alike(), "refiner": Telling(partners=[1, 2, 0])}
+    assert ranked_instances(assignment="global", **chosen) == [{1}, {2}, {0}]
 
 
 def test_the_instance_with_the_most_inliers_wins():
@@ -121,6 +134,13 @@ def test_the_instance_with_the_most_inliers_wins():
         assert {int(database.instances[row]) for row, _ in estimate.candidates} == {estimate.instance}
         winners.append(estimate.instance)
     assert sorted(winners) == [0, 1, 2]
+
+
+def test_a_failed_solve_says_what_it_was_given():
+    _, estimates = run(pnp=Helpless())
+    for estimate in estimates:
+        assert estimate.failure == Failure("pnp", "helpless") and estimate.instance is not None
+        assert sum(count for _, count in estimate.candidates) == len(estimate.correspondences) > 0
 
 
 def test_the_refiner_has_the_last_word():
@@ -171,14 +191,15 @@ def test_what_a_cache_served_is_marked_on_whom_it_concerns(slot):
             self.matched = 0
 
         def segment(self, frame, current):
-            meter.served("segmenter", 5.0)
+            meter.served("segmenter", 3e6)
             return self.stage.segment(frame, current)
 
         def match(self, query, references):
             self.matched += 1
             if self.matched == 2:
-                meter.served("matcher", 5.0)
+                meter.served("matcher", 1e6)
             return self.stage.match(query, references)
 
     _, estimates = run(meter=meter, **{slot: Served()})
-    assert [e.cached for e in estimates] == ([True] * 3 if slot == "goal_segmenter" else [False, True, False])
+    stage, whom = ("segmenter", [True] * 3) if slot == "goal_segmenter" else ("matcher", [False, True, False])
+    assert [e.cached for e in estimates] == [e.time_ms[stage] >= 1e6 for e in estimates] == whom
