@@ -5,7 +5,8 @@ import textwrap
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.experiment import expand, load_experiment, parse_set, shipped_experiments
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.settings import parse_set, shipped_settings
 
 BASE = """
 name: mine
@@ -32,7 +33,7 @@ def write(tmp_path):
     return _write
 
 
-@pytest.mark.parametrize("name", list(shipped_experiments()))
+@pytest.mark.parametrize("name", list(shipped_settings()))
 def test_shipped_experiments_are_valid(name):
     assert load_experiment(name).name == name
     assert expand(load_experiment(name))
