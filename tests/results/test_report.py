@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from made_rows import make_rows
 from rich.console import Console
 
 from toolkit.errors import ToolkitError
@@ -14,38 +15,9 @@ from toolkit.geometry import invert, project
 from toolkit.pictures.drawing import overlay
 from toolkit.results.comparisons import compare_cells, print_comparisons
 from toolkit.results.report import write_report
-from toolkit.results.rows import Row, read_rows, summarize, write_rows
+from toolkit.results.rows import read_rows, summarize, write_rows
 from toolkit.results.stats import holm, mcnemar
 from toolkit.results.tables import motion_table
-
-
-def make_rows(cell, share, dataset="a", scenes=20, **fields):
-    """Rows of which a share is right, the same objects in every cell."""
-    rng = np.random.default_rng(0)
-    rank = rng.permutation(scenes * 3)
-    return [
-        Row(
-            cell=cell,
-            settings={"pipeline.views": cell},
-            dataset=dataset,
-            scene_id=i // 3,
-            scene=f"{i // 3:06d}",
-            object=i % 3,
-            object_name=f"object_{i % 7}",
-            symmetry="none",
-            **_outcome(bool(rank[i] < share * scenes * 3)),
-            **fields,
-        )
-        for i in range(scenes * 3)
-    ]
-
-
-def _outcome(right):
-    if not right:
-        return {"status": "failed", "stage": "pnp", "reason": "5 inliers of 12, at least 8 are needed <b>&"}
-    errors = {"rotation_error_deg": 1.0, "translation_error_cm": 0.5}
-    symmetric = {f"{key}_sym": value for key, value in errors.items()}
-    return {"status": "estimated", "success": True, "success_sym": True, **errors, **symmetric}
 
 
 def test_the_report_needs_nothing_else(tmp_path):
