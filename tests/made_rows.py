@@ -1,14 +1,15 @@
-"""Rows as an ablation would leave them, for what is made of rows."""
+"""Rows as runs would leave them, for what is made of rows."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from toolkit.results.completion import MoveRow
 from toolkit.results.rows import Row
 
 
 def make_rows(cell, share, dataset="a", scenes=20, **fields):
-    """Rows of which a share is right, the same objects in every cell."""
+    """Rows of an ablation, of which a share is right; the same objects in every cell."""
     rng = np.random.default_rng(0)
     rank = rng.permutation(scenes * 3)
     return [
@@ -34,3 +35,25 @@ def _outcome(right):
     errors = {"rotation_error_deg": 1.0, "translation_error_cm": 0.5}
     symmetric = {f"{key}_sym": value for key, value in errors.items()}
     return {"status": "estimated", "success": True, "success_sym": True, **errors, **symmetric}
+
+
+def make_move_rows(cell, share, **fields):
+    """Rows of a rearrangement of which a share is right: 20 scenes of three objects, two rounds, a move an object."""
+    about = ("cell", "settings", "dataset", "scene_id", "scene", "object", "object_name", "symmetry", "success")
+    return [
+        MoveRow(
+            **{name: getattr(row, name) for name in (*about, "success_sym", "stage", "reason")},
+            **{f"rotation_error_deg{kind}": 1.0 if row.success else 30.0 for kind in ("", "_sym")},
+            **{f"translation_error_cm{kind}": 0.5 if row.success else 5.0 for kind in ("", "_sym")},
+            right_after=[False, row.success],
+            moves=1,
+            buffer_moves=0,
+            rounds=2,
+            forced_buffers=0,
+            scene_moves=3,
+            time_ms={"perception": 1e3, "planning": 5.0},
+            motion_s=20.0,
+            **fields,
+        )
+        for row in make_rows(cell, share)
+    ]

@@ -106,6 +106,13 @@ def test_an_unknown_experiment_is_answered_with_the_nearest(tmp_path):
         load_experiment(str(tmp_path / "absent.yaml"))
 
 
+def test_a_file_that_is_no_text_is_one_sentence(tmp_path):
+    (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\x00\xff")
+    with pytest.raises(ToolkitError, match="not YAML") as error:
+        load_experiment(str(tmp_path / "binary.yaml"))
+    assert "\n" not in str(error.value)
+
+
 def test_set_options_are_yaml():
     assert parse_set("pipeline.views=all,1") == ("pipeline.views", ["all", 1])
     assert parse_set("a.b=0.5") == ("a.b", [0.5])
