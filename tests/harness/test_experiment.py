@@ -83,6 +83,7 @@ def test_named_cells_multiply_with_the_sweep(write):
         (BASE + "  pnp: [", {}, r"mine.yaml', line \d+"),
         ("- a list", {}, "must be a mapping"),
         (BASE + "sceens: 3\n", {}, "unknown setting 'sceens'"),
+        (BASE + "sweep:\n", {"pipeline.matcher": ["sift"]}, "setting 'sweep'"),
         (BASE, {"pipeline.matcher": ["sfit"]}, "unknown matcher 'sfit'; did you mean 'sift'"),
         (BASE, {"pipeline.matchr": ["sift"]}, "unknown setting 'matchr'; did you mean 'matcher'"),
         (BASE, {"pipeline.matcher.ratoi": [1]}, "unknown setting 'ratoi'; did you mean 'ratio'"),

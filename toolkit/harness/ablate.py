@@ -51,7 +51,7 @@ class Ablation(RunKind[Row, CaptureTask]):
         return require_ready([cell])
 
     def work(self, job: Job) -> Work[CaptureTask]:
-        """One task a scene, with the cells that share its dataset and have no rows for it yet."""
+        """One task for every scene, with the cells that share its dataset and have no rows for it yet."""
         datasets: dict[str, Dataset] = {}
         sharing: dict[str, list[Cell]] = {}
         for cell in job.cells:

@@ -172,6 +172,8 @@ def load_experiment(
             raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
         path = shipped[name_or_path]
     data = read_settings(path, "experiment", "name, dataset and pipeline")
+    what = f"experiment '{path}'"
+    validated(Experiment, data, what)  # what is wrong in the file is not blamed on an override
     if rearranges:
         data.setdefault("rearrange", {})
     if isinstance(data.get("rearrange"), dict):
@@ -180,7 +182,7 @@ def load_experiment(
         _drop_sweep(data)
     for key, values in (overrides or {}).items():
         _override(data, key, list(values))
-    experiment = validated(Experiment, data, f"experiment '{path}'")
+    experiment = validated(Experiment, data, what)
     plugins = tuple((path.parent / plugin).absolute() for plugin in experiment.plugins)
     for file in plugins:
         register_plugin_file(file)
