@@ -92,10 +92,10 @@ def test_every_implementation_is_listed_and_shown():
 def test_every_shipped_experiment_is_listed_with_its_description_and_file():
     listed = toolkit("list", "experiments", COLUMNS="300")
     assert listed.returncode == 0, listed.stderr
-    for name, path in shipped_settings().items():
-        (line,) = [line for line in listed.stdout.splitlines() if f" {name} " in line]
-        assert load_experiment(name).description in line and f" {path.name} " in line
-        assert str(path.parent) in listed.stdout
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in listed.stdout.splitlines() if "│" in line]
+    shipped = shipped_settings()
+    assert lines == [[name, load_experiment(name).description, path.name] for name, path in shipped.items()]
+    assert str(shipped["quick"].parent) in listed.stdout
 
 
 def test_the_version_is_said_without_a_command():

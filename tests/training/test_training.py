@@ -243,8 +243,8 @@ def test_a_group_the_file_leaves_out_keeps_its_defaults_when_one_of_its_settings
     config = read_training("mixvpr", tmp_path / "short.yaml", {"crops.blur_px": 0})
     default = MixvprTraining.model_fields["crops"].default
     assert config.crops == default.model_copy(update={"blur_px": 0}) != default
-    with pytest.raises(ToolkitError, match="there is no 'crop'; did you mean 'crops'"):
-        read_training("mixvpr", tmp_path / "short.yaml", {"crop.blur_px": 0})
+    with pytest.raises(ToolkitError, match="there is no 'pol'; did you mean 'pool'"):
+        read_training("mixvpr", tmp_path / "short.yaml", {"pol.frames": 3})
     with pytest.raises(ToolkitError, match=r"there is no 'loop\.steps'"):
         read_training("mixvpr", tmp_path / "short.yaml", {"loop.steps.more": 0})
 
