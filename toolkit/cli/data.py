@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from toolkit.cli.console import bars, say
-from toolkit.cli.options import SettingsOption, cores, single_values
+from toolkit.cli.options import SettingsOption, single_values
+from toolkit.parallel import cores
 
 app = typer.Typer()
 dataset_app = typer.Typer(help="Make or inspect a benchmark.", no_args_is_help=True)

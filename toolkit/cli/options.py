@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +11,7 @@ import typer
 
 from toolkit.cli.completion import experiment_names, implementation_names, implementations_of, stage_names
 from toolkit.errors import ToolkitError
+from toolkit.parallel import cores
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:
@@ -162,11 +162,6 @@ def single_values(settings: Iterable[str]) -> dict[str, Any]:
             raise ToolkitError(f"--set {path} takes one value here, got {len(values)}; only experiments sweep")
         chosen[path] = values[0]
     return chosen
-
-
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def _option(name: str, default: Any, annotation: Any) -> inspect.Parameter:

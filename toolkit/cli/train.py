@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from toolkit.cli.console import bars, say
-from toolkit.cli.options import OutOption, SettingsOption, cores, single_values
+from toolkit.cli.options import OutOption, SettingsOption, single_values
+from toolkit.parallel import cores
 
 app = typer.Typer()
 

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from toolkit.data.bop import capture_digest, load_capture
-from toolkit.data.source import Dataset, open_capture, open_dataset
+from toolkit.data.source import Dataset, open_capture, open_dataset, require_source
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
 from toolkit.harness.experiment import Cell
@@ -48,10 +48,11 @@ class Ablation(RunKind[Row, CaptureTask]):
         """As `RunKind.check`."""
         if cell.rearrange is not None:
             raise ToolkitError(f"'{cell.name}' moves objects; run it with `toolkit rearrange`")
+        require_source(cell.dataset)
         return require_ready([cell])
 
     def work(self, job: Job) -> Work[CaptureTask]:
-        """One task for every scene, with the cells that share its dataset and have no rows for it yet."""
+        """One task per scene, with the cells that share its dataset and have no rows for it yet."""
         datasets: dict[str, Dataset] = {}
         sharing: dict[str, list[Cell]] = {}
         for cell in job.cells:

@@ -1,4 +1,4 @@
-"""The one road every run takes: check, open a folder, run the scenes, write rows, summary and report (DESIGN 9)."""
+"""The one road every run takes: check, open a folder, run the scenes, and write rows, summary and report."""
 
 from __future__ import annotations
 

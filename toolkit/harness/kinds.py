@@ -112,7 +112,7 @@ class RunKind(ABC, Generic[RowT, TaskT]):
 
     @abstractmethod
     def summarize(self, rows: Sequence[RowT]) -> Sequence[object]:
-        """One dataclass of figures for every cell, in the order the cells first occur."""
+        """One dataclass of figures per cell, in the order the cells first occur."""
 
     @abstractmethod
     def print(self, rows: Sequence[RowT], console: Console) -> None:

@@ -71,7 +71,7 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
         return weights
 
     def work(self, job: Job) -> Work[MoveTask]:
-        """One task for every scene and cell; a scene is drawn where it is set right."""
+        """One task per scene and cell; a scene is drawn where it is set right."""
         scenes = filter(job.shard.holds, range(max(map(_scenes, job.cells))))
         pairs = [(scene_id, cell) for scene_id in scenes for cell in job.pending(job.cells, scene_id)]
         tasks = [MoveTask(scene_id, (cell,), job.cache) for scene_id, cell in pairs if scene_id < _scenes(cell)]
@@ -137,7 +137,7 @@ def _score(
     state: Mapping[int, Float],
     weights: dict[str, str],
 ) -> list[MoveRow]:
-    """One row for every true object: its true final pose against its true goal."""
+    """One row per true object: its true final pose against its true goal."""
     estimates = episode.sight.estimates if episode.sight is not None else ()
     answers = assign_goal_objects([e.segment for e in estimates], episode.goal.true_masks or {})
     rows: list[MoveRow] = []

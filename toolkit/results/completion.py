@@ -1,4 +1,4 @@
-"""Rows (one for every object and cell) and summaries of rearrangements: task completion, Table II of the paper."""
+"""Rows (one per object and cell) and summaries of rearrangements: task completion, Table II of the paper."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class CompletionSummary:
 
 
 def summarize_completion(rows: Sequence[MoveRow]) -> list[CompletionSummary]:
-    """One summary for every cell, in the order the cells first occur."""
+    """One summary per cell, in the order the cells first occur."""
     return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell(rows).items()]
 
 

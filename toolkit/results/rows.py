@@ -1,4 +1,4 @@
-"""Rows (one for every object and cell), their files, and the summary of a cell (DESIGN 9)."""
+"""Rows (one per object and cell), their files, and the summary of a cell."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class CellSummary:
 
 
 def summarize(rows: Sequence[Row]) -> list[CellSummary]:
-    """One summary for every cell, in the order the cells first occur."""
+    """One summary per cell, in the order the cells first occur."""
     return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell(rows).items()]
 
 
