@@ -90,5 +90,5 @@ def kind_of(run: Path) -> RunKind[Any, Any]:
     Raises:
         ToolkitError: what it wrote down cannot be read.
     """
-    cells: list[Mapping[str, Any]] = read_resolved(run).get("cells", [])
+    cells: list[Mapping[str, Any]] = read_resolved(run).get("cells") or []
     return Rearrangement() if any("rearrange" in cell for cell in cells) else Ablation()
