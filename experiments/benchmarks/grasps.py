@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from contextlib import closing
 
 import numpy as np
+from lift import lifted_height
 from rich.console import Console
 from rich.progress import track
 
@@ -25,7 +26,6 @@ from toolkit.rearrangement.executors.kinematic import Kinematic
 from toolkit.rearrangement.grasps.geometry.gripper import Gripper
 from toolkit.rearrangement.moves import PickPlace
 from toolkit.results.stats import wilson_interval
-from toolkit.sim.lift import lifted_height
 from toolkit.stages import GRASPERS
 from toolkit.types import Failure
 

@@ -132,12 +132,10 @@ def test_one_drive_moves_both_fingers():
     push = 2 * robot.model.grip * robot.T_world_hand()[:3, :3] @ robot.model.R_hand_gripper[:, 0]
     for _ in range(120):
         for tip in robot.tips:
-            at = pybullet.getLinkState(robot.body, tip, physicsClientId=bench.client)[0]
-            pybullet.applyExternalForce(
-                robot.body, tip, push.tolist(), at, pybullet.WORLD_FRAME, physicsClientId=bench.client
-            )
+            at = bench.client.link(robot.body, tip).mass_place
+            bench.client.applyExternalForce(robot.body, tip, push.tolist(), at, pybullet.WORLD_FRAME)
         bench.step(bench.target, np.zeros(7), "holding", None)
-    ways = [state[0] for state in pybullet.getJointStates(robot.body, [9, 10], physicsClientId=bench.client)]
+    ways = list(robot.finger_drives.values())
     bench.close()
     np.testing.assert_allclose(ways, 0.02, atol=5e-4)
 

@@ -1,15 +1,14 @@
-"""PyBullet without what its C code prints, and its EGL renderer where it loads."""
+"""PyBullet without what its C code prints, and which of its renderers this machine has."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.util
 import os
 import subprocess
 import sys
 from collections.abc import Generator
-from typing import Any, Literal
+from typing import Literal
 
 Renderer = Literal["tiny", "egl"]
 
@@ -36,21 +35,13 @@ with silence():
     import pybullet as pybullet
 
 
-def load_egl(client: int) -> bool:
-    """Load PyBullet's EGL plug-in into a client; say whether that worked."""
-    spec: Any = importlib.util.find_spec("eglRenderer")
-    if spec is None or spec.origin is None:
-        return False
-    return pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
-
-
 @functools.cache
 def best_renderer() -> Renderer:
     """`egl` where PyBullet's plug-in loads, about twice as fast; else `tiny`, which always works.
 
     Tried in a process of its own: without a usable driver the plug-in ends the process it is loaded into.
     """
-    probe = "from toolkit.sim.bullet import *; raise SystemExit(not load_egl(pybullet.connect(pybullet.DIRECT)))"
+    probe = "from toolkit.sim.client import Client; raise SystemExit(not Client().load_egl())"
     try:
         done = subprocess.run([sys.executable, "-c", probe], capture_output=True, timeout=_PROBE_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired):
