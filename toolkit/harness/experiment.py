@@ -155,7 +155,7 @@ def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) 
 def shipped_experiments() -> dict[str, Path]:
     """Experiments that travel with the package, by name; in a checkout, those of `experiments/`."""
     packaged = Path(str(files("toolkit"))) / "experiments"
-    folder = packaged if packaged.is_dir() else Path(__file__).parent.parent / "experiments"
+    folder = packaged if packaged.is_dir() else Path(__file__).parents[2] / "experiments"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
