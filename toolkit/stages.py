@@ -33,11 +33,11 @@ from toolkit.perception.stages import (
 from toolkit.rearrangement.stages import (
     EXECUTORS,
     GRASPERS,
-    MOTION,
+    MOTION_PLANNERS,
     PLANNERS,
     Executor,
     Grasper,
-    Motion,
+    MotionPlanner,
     Planner,
     Schedule,
 )
@@ -50,7 +50,7 @@ __all__ = [
     "GRASPERS",
     "INDEXES",
     "MATCHERS",
-    "MOTION",
+    "MOTION_PLANNERS",
     "PLANNERS",
     "PNP",
     "REFINERS",
@@ -66,7 +66,7 @@ __all__ = [
     "Grasper",
     "Index",
     "Matcher",
-    "Motion",
+    "MotionPlanner",
     "Planner",
     "PnP",
     "Refiner",
@@ -92,7 +92,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
         REFINERS,
         PLANNERS,
         GRASPERS,
-        MOTION,
+        MOTION_PLANNERS,
         EXECUTORS,
     )
 }

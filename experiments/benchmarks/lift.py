@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from toolkit.geometry import make_transform
+from toolkit.rearrangement.moves import Grasp
 from toolkit.sim.bullet import pybullet, silence
 from toolkit.sim.client import BASE, Client, quaternion
 from toolkit.sim.compound import add_compound
-from toolkit.types import Float
+from toolkit.types import Float, Gripper
 
 _STEP_S = 1 / 480
 _SETTLE_S, _CLOSE_S, _LIFT_S, _HOLD_S = 0.3, 0.7, 1.5, 0.5
@@ -23,24 +24,21 @@ _FRICTION = 0.8
 """Of rubber pads on household objects; grasps are looked for with a more careful one."""
 
 
-def lifted_height(
-    hulls: Sequence[Path], mass: float, T_world_body: Float, T_world_gripper: Float, opening: float, finger: Float
-) -> float:
+def lifted_height(hulls: Sequence[Path], mass: float, T_world_body: Float, grasp: Grasp, gripper: Gripper) -> float:
     """Close a gripper on a body that stands on a table, lift it by 15 cm, and hold it.
 
     Args:
         hulls: the body's convex pieces, in its own coordinates.
         mass: kilograms.
         T_world_body: (4, 4) where it stands.
-        T_world_gripper: (4, 4) the grasp: origin between the fingertips, x closes, z approaches.
-        opening: distance of the fingers before they close, metres.
-        finger: (3,) thickness (x), width (y) and length (z) of a finger, metres.
+        grasp: how it is held.
+        gripper: by what.
 
     Returns:
         Height of the body's lowest point over the table in the end, metres: 0.15 where it neither slipped nor tilted.
     """
     with closing(Client()) as client, silence():
-        return _Lift(client, hulls, mass, T_world_body).run(T_world_gripper, opening, finger)
+        return _Lift(client, hulls, mass, T_world_body).run(grasp, np.array(gripper.finger_m))
 
 
 class _Lift:
@@ -71,17 +69,18 @@ class _Lift:
     def _friction(self, body: int, link: int, value: float) -> None:
         self._client.changeDynamics(body, link, lateralFriction=value, spinningFriction=0.005, rollingFriction=0.0005)
 
-    def run(self, T_world_gripper: Float, opening: float, finger: Float) -> float:
-        gripper = self._gripper(opening, finger, T_world_gripper)
+    def run(self, grasp: Grasp, finger: Float) -> float:
+        T = grasp.T_world_gripper
+        gripper = self._gripper(grasp.opening, finger, T)
         hold = self._client.createConstraint(
             gripper, BASE, -1, -1, pybullet.JOINT_FIXED, [0, 0, 0], [0, 0, 0], [0, 0, 0]
         )
         self._drive(gripper, speed=0.0)
-        self._step(_SETTLE_S, hold, T_world_gripper, 0.0, 0.0)
+        self._step(_SETTLE_S, hold, T, 0.0, 0.0)
         self._drive(gripper, speed=-0.1)
-        self._step(_CLOSE_S, hold, T_world_gripper, 0.0, 0.0)
-        self._step(_LIFT_S, hold, T_world_gripper, 0.0, _HEIGHT_M)
-        self._step(_HOLD_S, hold, T_world_gripper, _HEIGHT_M, _HEIGHT_M)
+        self._step(_CLOSE_S, hold, T, 0.0, 0.0)
+        self._step(_LIFT_S, hold, T, 0.0, _HEIGHT_M)
+        self._step(_HOLD_S, hold, T, _HEIGHT_M, _HEIGHT_M)
         return float(self._client.box(self._body)[0][2])
 
     def _gripper(self, opening: float, finger: Float, T: Float) -> int:

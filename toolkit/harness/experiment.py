@@ -11,30 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.pipeline import PipelineSettings
 from toolkit.rearrangement.episode import EpisodeSettings
-from toolkit.registry import Registry, load_plugin_file, validated
+from toolkit.registry import Registry, StageChoice, load_plugin_file, validated
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 from toolkit.stages import REGISTRIES, register_module
 
 _ALL_SLOTS = SLOTS | REARRANGE_SLOTS
-
-
-class StageChoice(BaseModel):
-    """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
-
-    model_config = ConfigDict(frozen=True, extra="allow")
-
-    name: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The implementation's own settings, not yet checked."""
-        return dict(self.model_extra or {})
 
 
 class PipelineChoice(PipelineSettings):
@@ -51,22 +38,12 @@ class PipelineChoice(PipelineSettings):
     pnp: StageChoice
     refiner: StageChoice = StageChoice(name="none")
 
-    @field_validator(*SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
-
 
 class RearrangeChoice(EpisodeSettings):
     """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
 
     planner: StageChoice
     executor: StageChoice
-
-    @field_validator(*REARRANGE_SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
 
 
 class CellSpec(BaseModel):
@@ -145,10 +122,7 @@ def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) 
     """A part of an experiment with every default of its stages written out."""
     resolved = part.model_dump(mode="json")
     for slot, stage in slots.items():
-        choice: StageChoice = getattr(part, slot)
-        registry = REGISTRIES[stage]
-        config = registry.config(registry.get(choice.name), choice.settings)
-        resolved[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+        resolved[slot] = REGISTRIES[stage].choose(getattr(part, slot)).model_dump(mode="json")
     return resolved
 
 
@@ -304,25 +278,43 @@ def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
 
 
 def _assign(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a dotted path. Naming another implementation drops the former one's settings."""
-    *parents, last = path.split(".")
+    """Set a dotted path. Naming another implementation drops the former one's settings.
+
+    Below a slot lie the settings of an implementation, which may choose others in turn: what is not there yet on the
+    way to such a setting is made, and checked with them.
+    """
+    *parents, last = _keys(path)
     node: Any = data
     for depth, key in enumerate(parents):
-        child = node.get(key)
-        if isinstance(child, str) and key in _ALL_SLOTS:
-            child = node[key] = {"name": child}
+        below_slot = _below_slot(parents[:depth])
+        child = node.get(key, {} if below_slot else None)
+        if isinstance(child, str) and (below_slot or key in _ALL_SLOTS):
+            child = {"name": child}
         if not isinstance(child, dict):
             where = ".".join(parents[: depth + 1])
             raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
+        node[key] = child
         node = child
-    same = isinstance(node.get(last), dict) and node[last].get("name") == value
-    if not (last in _ALL_SLOTS and same):
+    former = node.get(last)
+    chosen = isinstance(value, str) and isinstance(former, dict) and _below_slot([*parents, last])
+    if chosen and former.get("name", value) == value:
+        former["name"] = value
+    else:
         node[last] = value
 
 
+def _below_slot(keys: Sequence[str]) -> bool:
+    return any(key in _ALL_SLOTS for key in keys)
+
+
+def _keys(path: str) -> list[str]:
+    """The keys of a dotted path; `slot.name` is the slot itself, whose implementation it names."""
+    *parents, last = path.split(".")
+    return parents if last == "name" and _below_slot(parents) else [*parents, last]
+
+
 def _short(path: str) -> str:
-    parts = path.removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.").split(".")
-    return parts[0] if parts[1:] == ["name"] else ".".join(parts)
+    return ".".join(_keys(path)).removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.")
 
 
 def _label(value: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from toolkit.paths import cache_root
 from toolkit.pictures.film import Film, Filmable, record_poses
 from toolkit.pictures.recording import has_rerun
 from toolkit.progress import Progress
-from toolkit.rearrangement.episode import Episode, rearrange
+from toolkit.rearrangement.episode import Episode, begun, rearrange
+from toolkit.registry import Plugin
 from toolkit.results.completion import MoveRow, summarize_completion
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.results.report import write_completion_report
@@ -72,7 +73,7 @@ def run_rearrangement(
     cells = expand(experiment)
     weights = require_ready(cells)
     for cell in cells:
-        _check(cell)
+        weights |= _check(cell)
     cache = Cache(cache_root() / "stages") if options.use_cache else None
     resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
     scenes = list(filter(options.shard.holds, range(max(cell.dataset["scenes"] for cell in cells))))
@@ -107,15 +108,17 @@ def run_rearrangement(
     return run
 
 
-def _check(cell: Cell) -> None:
-    """Everything a worker would stumble over, before any work starts."""
+def _check(cell: Cell) -> dict[str, str]:
+    """Everything a worker would stumble over, before any work starts; returns the sha256 of the weights by name."""
     if "path" in cell.dataset:
         raise ToolkitError("captures of the past cannot be rearranged: leave dataset.path out to simulate scenes")
-    for slot in REARRANGE_SLOTS:
-        create_stage(_choice(cell), slot).check_ready()
+    stages: list[Plugin] = [create_stage(_choice(cell), slot) for slot in REARRANGE_SLOTS]
+    for stage in stages:
+        stage.check_ready()
     config = _config(cell)
     # The first scene shows whether the objects are there and the table holds them.
     draw_scene(config, object_set(config.objects, cache_root()), 0, cache_root())
+    return {name: sha256 for stage in stages for name, sha256 in stage.digests().items()}
 
 
 def _choice(cell: Cell) -> RearrangeChoice:
@@ -137,16 +140,15 @@ def run_scene(task: MoveTask) -> list[MoveRow]:
     scene = draw_scene(config, object_set(config.objects, cache_root()), task.scene_id, cache_root())
     runner = get_runner(task.cell, task.cache)
     choice = _choice(task.cell)
-    executor: Executor = create_stage(choice, "executor")
+    planner, executor = (create_stage(choice, slot) for slot in ("planner", "executor"))
+    weights = {**runner.weights, **planner.digests(), **executor.digests()}
     seed = int(np.random.SeedSequence([task.cell.seed, task.scene_id]).generate_state(1)[0])
-    with closing(executor), _filmed(executor, task.film, scene):
-        episode = rearrange(
-            scene, runner.pipeline, create_stage(choice, "planner"), executor, episode_settings(choice), seed
-        )
+    with begun(executor, scene) as goal, _filmed(executor, task.film, scene):
+        episode = rearrange(goal, runner.pipeline, planner, executor, episode_settings(choice), seed)
         state = executor.state()
     if state is None:
         raise ToolkitError(f"executor '{choice.executor.name}' knows no true poses to measure against")
-    return _score(task, scene, episode, state, runner.weights)
+    return _score(task, scene, episode, state, weights)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, Literal
@@ -13,7 +13,6 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import transform_points
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.dependencies import lower_bound, screen
 from toolkit.rearrangement.moves import Finished, Move, Outcome, PickPlace, Table
@@ -52,7 +51,7 @@ class Episode:
         moved_for: by goal object, the true instance id of what was last brought to its goal.
         forced_buffers: moves to a free place that the first look's goals need at least.
         time_ms: milliseconds of perception and planning, on this machine.
-        motion_s: seconds of motion, on the robot's clock.
+        motion_s: seconds of moving, on the robot's clock.
     """
 
     goal: Frame
@@ -76,23 +75,41 @@ class Episode:
         self.time_ms[what] += 1e3 * (perf_counter() - start)
 
 
+@contextmanager
+def begun(executor: Executor, task: Any) -> Generator[Frame]:
+    """An executor at work on a task, which it lets go of in the end.
+
+    Where it cannot take the task up it is not closed either: nothing hides why.
+
+    Args:
+        executor: which.
+        task: what its `begin` is given.
+
+    Yields:
+        The goal image.
+    """
+    goal = executor.begin(task)
+    with closing(executor):
+        yield goal
+
+
 def rearrange(
-    task: Any, pipeline: Pipeline, planner: Planner, executor: Executor, settings: EpisodeSettings, seed: int
+    goal: Frame, pipeline: Pipeline, planner: Planner, executor: Executor, settings: EpisodeSettings, seed: int
 ) -> Episode:
     """Carry out one rearrangement.
 
     Args:
-        task: handed to the executor, which must be closed by the caller.
+        goal: the goal image of the executor's task.
         pipeline: the perception module.
         planner: decides the moves.
-        executor: carries them out.
+        executor: carries them out; it has begun its task, and closing it is left to the caller.
         settings: how often, and what counts as done.
         seed: of the planner's choices; the pipeline has its own.
 
     Raises:
         ToolkitError: a stage refuses its input.
     """
-    episode = Episode(executor.begin(task))
+    episode = Episode(goal)
     for number in range(settings.rounds):
         sight = _perceive(episode, pipeline, executor, settings)
         if sight is None:
@@ -150,9 +167,7 @@ def _carry_out(
         outcome = executor.pick_place(_request(sight, step))
         _count(episode, sight, step, outcome)
         if outcome.failure is None:
-            cloud = transform_points(step.T_place_pick, sight.clouds[step.object])
-            sight.clouds[step.object] = np.asarray(cloud)
-            sight = Sight(sight.table.after(step), sight.clouds, sight.estimates, sight.goal_objects, sight.failures)
+            sight = sight.after(step)
         if settings.observe == "move":
             seen = _perceive(episode, pipeline, executor, settings)
             if seen is None:

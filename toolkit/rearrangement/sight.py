@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.database import Database
 from toolkit.perception.fusion import FusedModel, fuse
 from toolkit.perception.pipeline import Pipeline
-from toolkit.rearrangement.moves import Item, Table
+from toolkit.rearrangement.moves import Item, Move, Table
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
 
@@ -42,10 +42,15 @@ class Sight:
     """
 
     table: Table
-    clouds: dict[int, Float]
+    clouds: Mapping[int, Float]
     estimates: tuple[PoseEstimate, ...]
-    goal_objects: dict[int, int]
-    failures: dict[int, Failure]
+    goal_objects: Mapping[int, int]
+    failures: Mapping[int, Failure]
+
+    def after(self, move: Move) -> Sight:
+        """What there is to see when `move` was carried out as meant."""
+        cloud = transform_points(move.T_place_pick, self.clouds[move.object])
+        return replace(self, table=self.table.after(move), clouds={**self.clouds, move.object: cloud})
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:

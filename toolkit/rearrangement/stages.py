@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from toolkit.rearrangement.moves import Finished, Grasp, MotionProblem, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.moves import (
+    Finished,
+    Grasp,
+    GraspRequest,
+    MotionProblem,
+    Move,
+    Outcome,
+    PickPlace,
+    Table,
+)
 from toolkit.registry import Registry
 from toolkit.types import Failure, Float, Frame
 
@@ -33,21 +42,23 @@ class Planner(Protocol):
 class Grasper(Protocol):
     """Finds grasps on an object of which only points are known (Sec. Method B)."""
 
-    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+    def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
         """Return grasps that touch nothing else, neither here nor where the object is put; best first.
 
-        A Failure says why there is none. The same request and seed give the same grasps.
+        A Failure says why there is none. The same request and seed give the same grasps, none of which opens wider
+        than the request's gripper.
         """
         ...
 
 
-class Motion(Protocol):
-    """Finds ways for an arm that touch nothing (Sec. Method B)."""
+class MotionPlanner(Protocol):
+    """Finds paths of an arm that touch nothing (Sec. Method B)."""
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
 
-        A Failure says why there is none. The same problem and seed give the same path.
+        A Failure says why there is none, and comes when the problem's time is up at the latest. The same problem and
+        seed give the same path, unless time runs out.
         """
         ...
 
@@ -60,7 +71,7 @@ class Executor(Protocol):
     """
 
     def begin(self, task: Any) -> Frame:
-        """Take up a task and return its goal image.
+        """Take up a task and return its goal image. Where it raises, it has let go of everything again.
 
         Args:
             task: for simulators a `toolkit.data.tabletop.TabletopScene`, whose objects they put on their table;
@@ -85,7 +96,7 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the task's resources."""
+        """Let go of the task that was begun."""
         ...
 
 
@@ -105,7 +116,11 @@ GRASPERS: Registry[Grasper] = Registry(
         "contact_graspnet": "toolkit.rearrangement.grasps.contact_graspnet:ContactGraspnet",
     },
 )
-MOTION: Registry[Motion] = Registry("motion", "toolkit.motion", {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"})
+MOTION_PLANNERS: Registry[MotionPlanner] = Registry(
+    "motion",
+    "toolkit.motion",
+    {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"},
+)
 EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",

@@ -126,7 +126,7 @@ class Clearance:
 
     def hand_at(self, q: Float) -> Float:
         """(4, 4) pose of the hand at (J,) joint angles."""
-        return self.robot.chain.frames(q[None])[1][0]
+        return self.robot.chain.end(q)
 
     def object_in_hand(self, q: Float, T_world_object: Float) -> Float:
         """(4, 4) an object's pose in the frame of the hand at (J,) joint angles."""

