@@ -316,16 +316,16 @@ def test_an_instance_goes_to_the_goal_object_that_is_surest(scene, executor):
     sight, _ = seen(scene, executor, claim)
     assert sight.goal_objects == {0: 1, 2: 2}
     assert "goal object 1 is taken for the same object" in sight.failures[0].reason
-    assert sight.table.item(1).goal is None and sight.table.item(0).goal is not None
+    assert sight.layout.item(1).goal is None and sight.layout.item(0).goal is not None
 
 
 def test_what_a_move_changes_is_another_sight(scene, executor):
     sight, _ = seen(scene, executor)
     was = {number: cloud.copy() for number, cloud in sight.clouds.items()}
-    move = sight.table.items[0].to_goal()
+    move = sight.layout.items[0].to_goal()
     then = sight.after(move)
     np.testing.assert_allclose(then.clouds[0], transform_points(move.T_place_pick, was[0]))
-    assert then.table.item(0).settled and not sight.table.item(0).settled
+    assert then.layout.item(0).settled and not sight.layout.item(0).settled
     for number, cloud in was.items():
         np.testing.assert_array_equal(sight.clouds[number], cloud)
         assert number == 0 or then.clouds[number] is sight.clouds[number]
@@ -336,13 +336,13 @@ def test_what_looks_settled_in_one_of_its_equivalents_is(scene, executor):
         return [changed(estimates[0], equivalents=np.stack([estimates[0].T_goal_current, np.eye(4)])), *estimates[1:]]
 
     sight, _ = seen(scene, executor, symmetric)
-    assert [item.settled for item in sight.table.items] == [True, False, False]
+    assert [item.settled for item in sight.layout.items] == [True, False, False]
 
 
 def test_failed_estimates_keep_their_reason(scene, executor):
     failure = Failure("matcher", "no match")
     sight, _ = seen(scene, executor, lambda e: [changed(e[0], T_goal_current=None, failure=failure), *e[1:]])
-    assert sight.failures == {0: failure} and not sight.table.item(0).wanted
+    assert sight.failures == {0: failure} and not sight.layout.item(0).wanted
 
 
 def test_objects_keep_their_names_from_look_to_look(scene, executor):
@@ -358,9 +358,9 @@ def test_objects_keep_their_names_from_look_to_look(scene, executor):
     frames = executor.observe()
     first = look(KnownPipeline(scene, executor), frames, goal, SightSettings())
     second = look(Renamed(scene, executor), frames, goal, SightSettings())
-    assert not np.allclose(first.table.item(0).footprint.center, second.table.item(0).footprint.center)
+    assert not np.allclose(first.layout.item(0).footprint.center, second.layout.item(0).footprint.center)
     merged = correct(first, second)
-    for item, before in zip(merged.table.items, first.table.items, strict=True):
+    for item, before in zip(merged.layout.items, first.layout.items, strict=True):
         assert item.object == before.object
         np.testing.assert_allclose(item.footprint.support, before.footprint.support)
         np.testing.assert_allclose(item.T_goal_current, before.T_goal_current)

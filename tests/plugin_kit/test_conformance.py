@@ -159,10 +159,10 @@ def test_a_planner_that_runs_into_things_is_found():
         def start(self, seed):
             return self
 
-        def next(self, table):
+        def next(self, layout):
             from toolkit.rearrangement.moves import Finished
 
-            wanted = [item for item in table.items if item.wanted]
+            wanted = [item for item in layout.items if item.wanted]
             return wanted[0].to_goal() if wanted else Finished()
 
     assert "puts object 0 onto object [1]" in notes(Blind)["a swap is solved without a collision"]

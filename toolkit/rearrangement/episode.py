@@ -15,7 +15,7 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.dependencies import lower_bound, screen
-from toolkit.rearrangement.moves import Finished, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.moves import Finished, Layout, Move, Outcome, PickPlace
 from toolkit.rearrangement.sight import Sight, SightSettings, correct, look
 from toolkit.rearrangement.stages import Executor, Planner
 from toolkit.types import Failure, Float, Frame
@@ -116,8 +116,8 @@ def rearrange(
             break
         episode.sight, episode.failures = sight, dict(sight.failures)
         if number == 0:
-            episode.forced_buffers = _forced_buffers(sight.table)
-        if not any(item.wanted for item in sight.table.items):
+            episode.forced_buffers = _forced_buffers(sight.layout)
+        if not any(item.wanted for item in sight.layout.items):
             break
         episode.rounds += 1
         _carry_out(episode, sight, pipeline, planner, executor, settings, seed + number)
@@ -142,9 +142,9 @@ def _perceive(episode: Episode, pipeline: Pipeline, executor: Executor, settings
         return None
 
 
-def _forced_buffers(table: Table) -> int:
-    table, _ = screen(table)
-    return lower_bound(table) - sum(item.wanted for item in table.items)
+def _forced_buffers(layout: Layout) -> int:
+    layout, _ = screen(layout)
+    return lower_bound(layout) - sum(item.wanted for item in layout.items)
 
 
 def _carry_out(
@@ -160,7 +160,7 @@ def _carry_out(
     schedule = planner.start(seed)
     for _ in range(_MOST_MOVES):
         with episode.timed("planning"):
-            step = schedule.next(sight.table)
+            step = schedule.next(sight.layout)
         if isinstance(step, Finished):
             _note_failures(episode, sight, step)
             return
@@ -173,7 +173,7 @@ def _carry_out(
             if seen is None:
                 return
             sight = correct(sight, seen)
-    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.table.items}
+    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.layout.items}
     _note_failures(episode, sight, Finished(unfinished))
 
 

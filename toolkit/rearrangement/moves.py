@@ -18,7 +18,7 @@ class Item:
     """An object on the table.
 
     Attributes:
-        object: its id, unique on its table.
+        object: its id, unique in its layout.
         footprint: where it is now.
         T_goal_current: (4, 4) motion that takes it from here to its goal; None where that is not known.
         goal: its footprint there; None where that is not known.
@@ -66,8 +66,8 @@ class Item:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """What stands where, and where it may stand.
+class Layout:
+    """What stands where on the table, and where it may stand.
 
     Attributes:
         items: the objects, ids unique.
@@ -85,13 +85,13 @@ class Table:
         """The item of one object."""
         return next(item for item in self.items if item.object == object_id)
 
-    def with_item(self, changed: Item) -> Table:
-        """This table with one item replaced by its namesake."""
+    def with_item(self, changed: Item) -> Layout:
+        """This layout with one item replaced by its namesake."""
         items = tuple(changed if item.object == changed.object else item for item in self.items)
         return replace(self, items=items)
 
-    def after(self, move: Move) -> Table:
-        """The table when `move` was carried out as meant."""
+    def after(self, move: Move) -> Layout:
+        """The layout when `move` was carried out as meant."""
         return self.with_item(self.item(move.object).after(move))
 
     def in_the_way(self, footprint: Footprint, of: int) -> list[int]:

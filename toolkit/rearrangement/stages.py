@@ -9,11 +9,11 @@ from toolkit.rearrangement.moves import (
     Finished,
     Grasp,
     GraspRequest,
+    Layout,
     MotionProblem,
     Move,
     Outcome,
     PickPlace,
-    Table,
 )
 from toolkit.registry import Registry
 from toolkit.types import Failure, Float, Frame
@@ -22,11 +22,11 @@ from toolkit.types import Failure, Float, Frame
 class Schedule(Protocol):
     """The moves of one rearrangement, decided one at a time."""
 
-    def next(self, table: Table) -> Move | Finished:
+    def next(self, layout: Layout) -> Move | Finished:
         """Return the next move from where things stand now, as they are seen or believed after the last move.
 
         Args:
-            table: the same objects, in the same order, at every call.
+            layout: the same objects, in the same order, at every call.
         """
         ...
 
@@ -35,7 +35,7 @@ class Planner(Protocol):
     """Decides which object is moved where, and when (Sec. Method B)."""
 
     def start(self, seed: int) -> Schedule:
-        """Begin a rearrangement. The same tables and seed give the same moves."""
+        """Begin a rearrangement. The same layouts and seed give the same moves."""
         ...
 
 

@@ -137,19 +137,19 @@ class Mover:
 
 def _timed(path: Float, speed: float) -> tuple[Float, Float]:
     """(T, J) targets and (T, J) velocities along an (N, J) path, one a step of the bench."""
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
-    keep = np.concatenate([[True], np.diff(way) > 1e-9])
-    path, way = path[keep], way[keep]
-    seconds = way[-1] / speed + _RAMP_S
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
+    keep = np.concatenate([[True], np.diff(turned) > 1e-9])
+    path, turned = path[keep], turned[keep]
+    seconds = turned[-1] / speed + _RAMP_S
     count = max(2, round(seconds / STEP_S))
     times = np.linspace(0, seconds, count + 1)[1:]
     ramped = _ramp(times) - _ramp(times - (seconds - _RAMP_S))
-    along = way[-1] * ramped / ramped[-1] if way[-1] > 0 else np.zeros(count)
-    targets = np.stack([np.interp(along, way, column) for column in path.T], axis=1)
+    along = turned[-1] * ramped / ramped[-1] if turned[-1] > 0 else np.zeros(count)
+    targets = np.stack([np.interp(along, turned, column) for column in path.T], axis=1)
     return targets, np.gradient(targets, STEP_S, axis=0)
 
 
 def _ramp(t: Float) -> Float:
-    """Way at unit speed, reached evenly over the ramp's time."""
+    """How far one has come at unit speed, which is reached evenly over the ramp's time."""
     t = np.maximum(t, 0)
     return np.where(t < _RAMP_S, t * t / (2 * _RAMP_S), t - _RAMP_S / 2)
