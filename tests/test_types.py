@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.types import Camera, Correspondences, Failure, Frame, Matches, PoseEstimate, Segment
+from toolkit.types import Camera, Correspondences, Failure, Frame, Gripper, Matches, PoseEstimate, Segment
 
 RGB = np.zeros((480, 640, 3), np.uint8)
 
@@ -26,6 +26,11 @@ def test_a_camera_refuses_what_is_no_pinhole(K, said):
 def test_a_camera_refuses_a_pose_that_is_not_rigid(camera):
     with pytest.raises(ToolkitError, match="not a rigid transform"):
         Camera(camera.K, np.diag([1.0, 1, 2, 1]), 640, 480)
+
+
+def test_a_gripper_has_size():
+    with pytest.raises(ToolkitError, match="measures must be positive"):
+        Gripper(0.08, (0.01, 0.0, 0.04), (0.1, 0.1, 0.1))
 
 
 def test_a_frame_refuses_arrays_that_do_not_fit(camera):
