@@ -91,7 +91,7 @@ def free_pose(clearance: Clearance, base: Float, rng: np.random.Generator) -> Fl
         place = base[:3, 3] + [distance * np.cos(azimuth), distance * np.sin(azimuth), rng.uniform(0.02, 0.30)]
         c, s = np.cos(yaw), np.sin(yaw)
         tips = make_transform(np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]]), place)
-        hand = tips @ np.linalg.inv(robot.T_hand_tips(robot.model.stroke_m))
+        hand = tips @ np.linalg.inv(robot.T_hand_tips(robot.model.gripper.stroke_m))
         for q in robot.chain.solve(hand, home + rng.uniform(-1, 1, (4, len(home)))):
             if clearance.free(q):
                 return q
