@@ -22,6 +22,7 @@ from toolkit.rearrangement.moves import GraspRequest, Outcome, PickPlace
 from toolkit.rearrangement.stages import GRASPERS, MOTION_PLANNERS, Grasper, MotionPlanner
 from toolkit.registry import Plugin, PluginConfig, StageChoice
 from toolkit.sim.bench import Bench, Touch
+from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robots import ROBOTS, RobotModel
 from toolkit.types import Failure, Float, Frame, Image
@@ -71,7 +72,8 @@ class Arm(Plugin):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """See Plugin: the robot's description, the grasper and the motion planner can be had."""
+        """See Plugin: the simulator, the robot's description, the grasper and the motion planner can be had."""
+        require_pybullet()
         self._model.urdf()
         for part in self._parts:
             part.check_ready()

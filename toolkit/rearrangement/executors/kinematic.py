@@ -18,6 +18,7 @@ from toolkit.rearrangement.executors.handling.resting import settle
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.solids import Solids
 from toolkit.types import Failure, Float, Frame, Image
 
@@ -53,6 +54,10 @@ class Kinematic(Plugin):
     def __init__(self, config: PluginConfig | None = None) -> None:
         super().__init__(config)
         self._opened = ExitStack()
+
+    def check_ready(self) -> None:
+        """See Plugin: there is a simulator."""
+        require_pybullet()
 
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""
