@@ -16,6 +16,7 @@ from toolkit.types import (
     Crop,
     Failure,
     Frame,
+    Gripper,
     Matches,
     ObjectModel,
     PnPSolution,
@@ -64,6 +65,11 @@ def test_a_camera_is_rigid_in_metres_and_of_whole_pixels(camera):
     refused(camera, "whole pixels", width=640.5)
     refused(camera, "at least 1x1, got 640x0", height=0)
     assert replace(camera, width=np.int64(640)).width == 640
+
+
+def test_a_gripper_has_size():
+    with pytest.raises(ToolkitError, match="measures must be positive"):
+        Gripper(0.08, (0.01, 0.0, 0.04), (0.1, 0.1, 0.1))
 
 
 def test_a_frame_refuses_arrays_that_do_not_fit(camera):

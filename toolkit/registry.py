@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from typing_extensions import TypeVar
 
 from toolkit.errors import ToolkitError, suggest
@@ -24,6 +24,28 @@ class PluginConfig(BaseModel):
     """Base of every plugin's settings: frozen, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class StageChoice(BaseModel):
+    """A stage's implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`.
+
+    Experiments choose so, and so do plugins that work with another stage: a setting of this type that is read by
+    `Registry.choose` is checked, and written out, with the plugin's own.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    name: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The implementation's own settings."""
+        return dict(self.model_extra or {})
 
 
 ConfigT = TypeVar("ConfigT", bound=PluginConfig, default=PluginConfig, covariant=True)
@@ -160,6 +182,22 @@ class Registry(Generic[StageT]):
         plugin = self.get(name)
         return cast(StageT, plugin(self.config(plugin, settings or {})))
 
+    def choose(self, value: Any, default: str | None = None) -> StageChoice:
+        """Read a choice of this stage, with its settings checked and every default written out.
+
+        Args:
+            value: `sift`, `{name: sift, ratio: 0.8}`, or a StageChoice.
+            default: whose settings they are where no name is given.
+
+        Raises:
+            ToolkitError: as `create`; or there is no name.
+        """
+        if default is not None and isinstance(value, Mapping):
+            value = {"name": default, **value}
+        choice = validated(StageChoice, value, self.stage)
+        config = self.config(self.get(choice.name), choice.settings)
+        return StageChoice(name=choice.name, **config.model_dump(mode="json"))
+
     def config(self, plugin: type[Plugin], settings: dict[str, Any]) -> PluginConfig:
         """Check `settings` against `plugin.Config`; raises ToolkitError with the key and the reason."""
         return validated(plugin.Config, settings, f"{self.stage} '{plugin.name}'")
@@ -176,7 +214,7 @@ class Registry(Generic[StageT]):
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-def validated(model: type[ModelT], settings: dict[str, Any], what: str) -> ModelT:
+def validated(model: type[ModelT], settings: Any, what: str) -> ModelT:
     """Build a pydantic model, turning its first error into one sentence.
 
     Raises:
@@ -190,7 +228,8 @@ def validated(model: type[ModelT], settings: dict[str, Any], what: str) -> Model
         if first["type"] == "extra_forbidden":
             hint = suggest(str(first["loc"][-1]), list(model.model_fields)) if len(first["loc"]) == 1 else ""
             raise ToolkitError(f"{what}: unknown setting '{path}'{hint}") from error
-        raise ToolkitError(f"{what}: setting '{path}': {first['msg']} (got {first.get('input')!r})") from error
+        where = f"{what}: setting '{path}'" if path else what
+        raise ToolkitError(f"{where}: {first['msg']} (got {first.get('input')!r})") from error
 
 
 def load_plugin_file(path: Path) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,19 +69,37 @@ def parse_set(option: str) -> tuple[str, list[Any]]:
 def assign(data: dict[str, Any], path: str, value: Any) -> None:
     """Set a dotted path. Naming another implementation drops the former one's settings.
 
+    Below a slot lie the settings of an implementation, which may choose others in turn: what is not there yet on the
+    way to such a setting is made, and checked with them.
+
     Raises:
-        ToolkitError: a group on the way is not there; the nearest is offered.
+        ToolkitError: a group on the way to a slot is not there; the nearest is offered.
     """
-    *parents, last = path.split(".")
+    *parents, last = keys_of(path)
     node: Any = data
     for depth, key in enumerate(parents):
-        child = node.get(key)
-        if isinstance(child, str) and key in _SLOTS:
-            child = node[key] = {"name": child}
+        below_slot = _below_slot(parents[:depth])
+        child = node.get(key, {} if below_slot else None)
+        if isinstance(child, str) and (below_slot or key in _SLOTS):
+            child = {"name": child}
         if not isinstance(child, dict):
             where = ".".join(parents[: depth + 1])
             raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
+        node[key] = child
         node = child
-    same = isinstance(node.get(last), dict) and node[last].get("name") == value
-    if not (last in _SLOTS and same):
+    former = node.get(last)
+    chosen = isinstance(value, str) and isinstance(former, dict) and _below_slot([*parents, last])
+    if chosen and former.get("name", value) == value:
+        former["name"] = value
+    else:
         node[last] = value
+
+
+def keys_of(path: str) -> list[str]:
+    """The keys of a dotted path; `slot.name` is the slot itself, whose implementation it names."""
+    *parents, last = path.split(".")
+    return parents if last == "name" and _below_slot(parents) else [*parents, last]
+
+
+def _below_slot(keys: Sequence[str]) -> bool:
+    return any(key in _SLOTS for key in keys)

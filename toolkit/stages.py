@@ -34,11 +34,11 @@ from toolkit.perception.stages import (
 from toolkit.rearrangement.stages import (
     EXECUTORS,
     GRASPERS,
-    MOTION,
+    MOTION_PLANNERS,
     PLANNERS,
     Executor,
     Grasper,
-    Motion,
+    MotionPlanner,
     Planner,
     Schedule,
 )
@@ -51,7 +51,7 @@ __all__ = [
     "GRASPERS",
     "INDEXES",
     "MATCHERS",
-    "MOTION",
+    "MOTION_PLANNERS",
     "PLANNERS",
     "PNP",
     "REFINERS",
@@ -67,7 +67,7 @@ __all__ = [
     "Grasper",
     "Index",
     "Matcher",
-    "Motion",
+    "MotionPlanner",
     "Planner",
     "PnP",
     "Refiner",
@@ -94,7 +94,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
         REFINERS,
         PLANNERS,
         GRASPERS,
-        MOTION,
+        MOTION_PLANNERS,
         EXECUTORS,
     )
 }

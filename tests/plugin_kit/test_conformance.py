@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,8 +18,10 @@ from toolkit.perception.indexes.numpy import NumpyIndex
 from toolkit.perception.retrieval.brute_force import BruteForce
 from toolkit.perception.retrieval.instance_vote import InstanceVote
 from toolkit.plugin_kit.conformance import check_plugin, checks_of, general, kit
+from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.planners.optimal import Optimal
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.sim.robots import ROBOTS
 from toolkit.stages import REGISTRIES
 from toolkit.types import Failure
 from toolkit.weights.cards import WeightCard
@@ -171,10 +174,10 @@ def test_a_planner_that_runs_into_things_is_found():
         def start(self, seed):
             return self
 
-        def next(self, table):
+        def next(self, layout):
             from toolkit.rearrangement.moves import Finished
 
-            wanted = [item for item in table.items if item.wanted]
+            wanted = [item for item in layout.items if item.wanted]
             return wanted[0].to_goal() if wanted else Finished()
 
     assert "puts object 0 onto object [1]" in notes(Blind)["a swap is solved without a collision"]
@@ -192,6 +195,16 @@ def test_an_empty_answer_where_a_failure_is_due_is_found():
     found = notes(Silent)
     assert "an empty list must be a Failure" in found["no grasp is a failure"]
     assert "no grasp of an easy box" in found["grasps hold a box"]
+
+
+def test_a_grasper_that_knows_one_gripper_only_is_found():
+    class Stubborn(Antipodal):
+        """Grasps for the gripper at hand, whatever is asked."""
+
+        def grasp(self, request, seed):
+            return super().grasp(replace(request, gripper=ROBOTS["gen3"].gripper), seed)
+
+    assert set(notes(Stubborn)) == {"what the gripper does not span is a failure"}
 
 
 def run(*command, folder):

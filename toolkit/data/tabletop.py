@@ -21,6 +21,7 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import look_at, make_transform
 from toolkit.registry import PluginConfig
 from toolkit.sim.bullet import Renderer, best_renderer
+from toolkit.sim.client import Client
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera, Float, Frame, Image, Mask, TrueObject
 
@@ -152,7 +153,7 @@ class Studio:
         self._world.close()
 
     @property
-    def client(self) -> int:
+    def client(self) -> Client:
         """The PyBullet client, for what else is to be in its pictures."""
         return self._world.client
 

@@ -9,31 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.pipeline import PipelineSettings
 from toolkit.rearrangement.episode import EpisodeSettings
-from toolkit.registry import Registry, load_plugin_file, validated
-from toolkit.settings import assign, read_settings, shipped_settings
+from toolkit.registry import Registry, StageChoice, load_plugin_file, validated
+from toolkit.settings import assign, keys_of, read_settings, shipped_settings
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 from toolkit.stages import REGISTRIES, register_module
 
 _ALL_SLOTS = SLOTS | REARRANGE_SLOTS
-
-
-class StageChoice(BaseModel):
-    """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
-
-    model_config = ConfigDict(frozen=True, extra="allow")
-
-    name: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The implementation's own settings, not yet checked."""
-        return dict(self.model_extra or {})
 
 
 class PipelineChoice(PipelineSettings):
@@ -50,22 +37,12 @@ class PipelineChoice(PipelineSettings):
     pnp: StageChoice
     refiner: StageChoice = StageChoice(name="none")
 
-    @field_validator(*SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
-
 
 class RearrangeChoice(EpisodeSettings):
     """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
 
     planner: StageChoice
     executor: StageChoice
-
-    @field_validator(*REARRANGE_SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
 
 
 class CellSpec(BaseModel):
@@ -144,10 +121,7 @@ def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) 
     """A part of an experiment with every default of its stages written out."""
     resolved = part.model_dump(mode="json")
     for slot, stage in slots.items():
-        choice: StageChoice = getattr(part, slot)
-        registry = REGISTRIES[stage]
-        config = registry.config(registry.get(choice.name), choice.settings)
-        resolved[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+        resolved[slot] = REGISTRIES[stage].choose(getattr(part, slot)).model_dump(mode="json")
     return resolved
 
 
@@ -268,8 +242,7 @@ def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
 
 
 def _short(path: str) -> str:
-    parts = path.removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.").split(".")
-    return parts[0] if parts[1:] == ["name"] else ".".join(parts)
+    return ".".join(keys_of(path)).removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.")
 
 
 def _label(value: Any) -> str:

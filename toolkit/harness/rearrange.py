@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,13 +22,14 @@ from toolkit.harness.worker import get_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.film import Film, Filmable, record_poses
 from toolkit.pictures.recording import has_rerun
-from toolkit.rearrangement.episode import Episode, rearrange
+from toolkit.rearrangement.episode import Episode, begun, rearrange
+from toolkit.registry import Plugin
 from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.results.report import write_completion_report
 from toolkit.results.tables import completion_table
 from toolkit.slots import REARRANGE_SLOTS
-from toolkit.stages import Executor, Planner
+from toolkit.stages import Executor
 from toolkit.types import Failure, Float, TrueObject
 
 
@@ -65,7 +66,9 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
             raise ToolkitError("captures of the past cannot be rearranged: leave dataset.path out to simulate scenes")
         weights = require_ready([cell])
         for slot in REARRANGE_SLOTS:
-            create_stage(cell.rearrange, slot).check_ready()
+            stage: Plugin = create_stage(cell.rearrange, slot)
+            stage.check_ready()
+            weights |= stage.digests()
         # The first scene shows whether the objects are there and the table holds them.
         _draw(cell, 0)
         return weights
@@ -85,15 +88,15 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
         assert cell.rearrange is not None
         scene = _draw(cell, task.scene_id)
         runner = get_runner(cell, task.cache)
-        executor: Executor = create_stage(cell.rearrange, "executor")
-        planner: Planner = create_stage(cell.rearrange, "planner")
+        planner, executor = (create_stage(cell.rearrange, slot) for slot in ("planner", "executor"))
+        weights = {**runner.weights, **planner.digests(), **executor.digests()}
         seed = int(np.random.SeedSequence([cell.seed, task.scene_id]).generate_state(1)[0])
-        with closing(executor), _filmed(executor, task.film, scene):
-            episode = rearrange(scene, runner.pipeline, planner, executor, episode_settings(cell.rearrange), seed)
+        with begun(executor, scene) as goal, _filmed(executor, task.film, scene):
+            episode = rearrange(goal, runner.pipeline, planner, executor, episode_settings(cell.rearrange), seed)
             state = executor.state()
         if state is None:
             raise ToolkitError(f"executor '{cell.rearrange.executor.name}' knows no true poses to measure against")
-        return _score(cell, task.scene_id, scene, episode, state, runner.weights)
+        return _score(cell, task.scene_id, scene, episode, state, weights)
 
     def summarize(self, rows: Sequence[MoveRow]) -> list[CompletionSummary]:
         """Completion, moves and times of every cell."""

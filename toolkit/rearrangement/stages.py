@@ -6,7 +6,16 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from toolkit.rearrangement.moves import Finished, Grasp, MotionProblem, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.moves import (
+    Finished,
+    Grasp,
+    GraspRequest,
+    Layout,
+    MotionProblem,
+    Move,
+    Outcome,
+    PickPlace,
+)
 from toolkit.registry import Registry
 from toolkit.types import Failure, Float, Frame
 
@@ -15,11 +24,11 @@ class Schedule(Protocol):
     """The moves of one rearrangement, decided one at a time."""
 
     @abstractmethod
-    def next(self, table: Table) -> Move | Finished:
+    def next(self, layout: Layout) -> Move | Finished:
         """Return the next move from where things stand now, as they are seen or believed after the last move.
 
         Args:
-            table: the same objects, in the same order, at every call.
+            layout: the same objects, in the same order, at every call.
         """
         ...
 
@@ -29,7 +38,7 @@ class Planner(Protocol):
 
     @abstractmethod
     def start(self, seed: int) -> Schedule:
-        """Begin a rearrangement. The same tables and seed give the same moves."""
+        """Begin a rearrangement. The same layouts and seed give the same moves."""
         ...
 
 
@@ -37,22 +46,24 @@ class Grasper(Protocol):
     """Finds grasps on an object of which only points are known (Sec. Method B)."""
 
     @abstractmethod
-    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+    def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
         """Return grasps that touch nothing else, neither here nor where the object is put; best first.
 
-        A Failure says why there is none. The same request and seed give the same grasps.
+        A Failure says why there is none. The same request and seed give the same grasps, none of which opens wider
+        than the request's gripper.
         """
         ...
 
 
-class Motion(Protocol):
-    """Finds ways for an arm that touch nothing (Sec. Method B)."""
+class MotionPlanner(Protocol):
+    """Finds paths of an arm that touch nothing (Sec. Method B)."""
 
     @abstractmethod
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
 
-        A Failure says why there is none. The same problem and seed give the same path.
+        A Failure says why there is none, and comes when the problem's time is up at the latest. The same problem and
+        seed give the same path, unless time runs out.
         """
         ...
 
@@ -66,7 +77,7 @@ class Executor(Protocol):
 
     @abstractmethod
     def begin(self, task: Any) -> Frame:
-        """Take up a task and return its goal image.
+        """Take up a task and return its goal image. Where it raises, it has let go of everything again.
 
         Args:
             task: for simulators a `toolkit.data.tabletop.TabletopScene`, whose objects they put on their table;
@@ -96,7 +107,7 @@ class Executor(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the task's resources."""
+        """Let go of the task that was begun."""
         ...
 
 
@@ -116,7 +127,11 @@ GRASPERS: Registry[Grasper] = Registry(
         "contact_graspnet": "toolkit.rearrangement.grasps.contact_graspnet:ContactGraspnet",
     },
 )
-MOTION: Registry[Motion] = Registry("motion", "toolkit.motion", {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"})
+MOTION_PLANNERS: Registry[MotionPlanner] = Registry(
+    "motion",
+    "toolkit.motion",
+    {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"},
+)
 EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",

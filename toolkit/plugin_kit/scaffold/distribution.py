@@ -65,6 +65,7 @@ class Test{class_name}(Conforms):
 
 _ABLATED = ("registration", "segmenter", "associator", "descriptor", "index", "retriever", "matcher", "pnp", "refiner")
 _REARRANGED = ("planner", "executor")
+_BY_THE_ARM = ("grasp", "motion")
 
 
 def new_plugin(stage: str, name: str, out: Path | None = None) -> Path:
@@ -114,4 +115,7 @@ def _module(stage: str, name: str, class_name: str) -> str:
 def _use(stage: str, name: str) -> str:
     if stage in _ABLATED:
         return f"\nMeasure it beside another one:\n\n    toolkit ablate --{stage} {name} --{stage} OTHER\n"
-    return f"\nUse it:\n\n    toolkit rearrange --{stage} {name}\n" if stage in _REARRANGED else ""
+    if stage in _BY_THE_ARM:
+        return f"\nUse it:\n\n    toolkit rearrange --executor arm --set rearrange.executor.{stage}.name={name}\n"
+    assert stage in _REARRANGED
+    return f"\nUse it:\n\n    toolkit rearrange --{stage} {name}\n"
