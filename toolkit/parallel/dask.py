@@ -50,7 +50,7 @@ def dask_workers(count: int, address: str | None, prepare: Callable[[], None]) -
 
 
 def _local_cluster(distributed: Any, count: int) -> Any:
-    """As many processes as loky would start, without limits of their own."""
+    """As many processes as without dask, without limits of their own."""
     return distributed.LocalCluster(
         n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs=logging.CRITICAL
     )
