@@ -29,7 +29,7 @@ LAYERS = [
 WINGS = ("perception", "rearrangement")
 """Their folders are stages. What stages are made of comes before `stages.py`, what joins them after the folders."""
 
-JOINING = {"perception": {"pipeline"}, "rearrangement": {"sight", "episode"}}
+JOINING = {"perception": {"parts", "ranking", "search", "scene", "pipeline"}, "rearrangement": {"sight", "episode"}}
 
 
 def layer(part: str) -> int:

@@ -13,7 +13,9 @@ MODULES: dict[str, tuple[str, ...]] = {
         "weights.cards",
         "weights.resolve",
     ),
-    "Perception": tuple(f"perception.{name}" for name in ("pipeline", "database", "crops", "regions", "lifting")),
+    "Perception": tuple(
+        f"perception.{name}" for name in ("pipeline", "parts", "scene", "database", "crops", "regions", "lifting")
+    ),
     "Rearrangement": (
         "rearrangement.episode",
         "rearrangement.sight",

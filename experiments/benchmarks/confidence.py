@@ -24,7 +24,6 @@ from toolkit.harness.experiment import expand, load_experiment
 from toolkit.harness.worker import make_runner
 from toolkit.perception.fusion import FusedModel, Models, Start
 from toolkit.perception.lighting import estimate_light
-from toolkit.perception.pipeline import starts_of
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.combine import agreeing
 from toolkit.perception.refiners.comparing.compare import Hypothesis, compare
@@ -32,6 +31,7 @@ from toolkit.perception.refiners.comparing.confidence import features
 from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
 from toolkit.perception.refiners.comparing.likeness import unlikeness
 from toolkit.perception.refiners.render_compare import RenderCompare
+from toolkit.perception.scene import starts_of
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error
 from toolkit.types import Float
 

@@ -80,8 +80,7 @@ def choose(pipeline: Pipeline, database: Database, goal: Frame, every_pair: bool
         for name, refiner in verifiers().items():
             verified, begin = np.full(scores.shape, np.nan), time.perf_counter()
             for number, instance in np.argwhere(which):
-                others = (*segments[:number], *segments[number + 1 :])
-                found = refiner.verify(RefineTask(goal, segments[number], others, int(instance), models))
+                found = refiner.verify(RefineTask.of(goal, segments, number, int(instance), models))
                 verified[number, instance] = np.nan if found is None else found
             seconds = time.perf_counter() - begin
             chosen[f"{how}, {name}"] = assign_instances(prior, verified).tolist(), seconds

@@ -11,7 +11,7 @@ from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.perception.pipeline import Pipeline, PipelineSettings
 from toolkit.results.scoring import score
-from toolkit.stages import RETRIEVERS
+from toolkit.stages import MATCHERS, RETRIEVERS
 from toolkit.types import Correspondences, Failure, Frame, Matches, PnPSolution, PoseEstimate, Segment
 
 
@@ -81,6 +81,30 @@ def test_views_are_spread_evenly_and_too_many_is_an_error(capture):
     assert [frame.index for frame in two.frames] == [0, 2]
     with pytest.raises(ToolkitError, match="views is 9, but the capture has 4"):
         Pipeline(usual_stages(), PipelineSettings(views=9)).build_database(capture.current)
+
+
+class Counting:
+    """Sift that counts the crops it is given."""
+
+    def __init__(self):
+        self.sift, self.extracted = MATCHERS.create("sift"), 0
+        self.crop_size, self.match = self.sift.crop_size, self.sift.match
+
+    def extract(self, crops):
+        self.extracted += len(crops)
+        return self.sift.extract(crops)
+
+
+def test_a_scene_keeps_what_it_made_for_further_goals_and_a_pipeline_keeps_nothing(capture):
+    matcher = Counting()
+    pipeline = Pipeline(usual_stages(matcher=matcher))
+    database = pipeline.build_database(capture.current)
+    scene = pipeline.scene(database)
+    once = motions(scene.estimate(capture.goal))
+    regions, objects = matcher.extracted - len(once), len(once)
+    assert regions > objects
+    assert motions(scene.estimate(capture.goal)) == once == motions(pipeline.estimate(database, capture.goal))
+    assert matcher.extracted == (regions + objects) + objects + (regions + objects)
 
 
 class Blind:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -181,6 +182,20 @@ class RefineTask:
     instance: int
     models: Models
     starts: tuple[Start, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        goal: Frame,
+        segments: Sequence[Segment],
+        number: int,
+        instance: int,
+        models: Models,
+        starts: tuple[Start, ...] = (),
+    ) -> RefineTask:
+        """The task of object `number` of those that the goal image shows."""
+        others = (*segments[:number], *segments[number + 1 :])
+        return cls(goal, segments[number], others, instance, models, starts)
 
 
 def _patch(frame: Frame, region: Region) -> Patch:

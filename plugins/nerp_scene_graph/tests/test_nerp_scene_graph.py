@@ -124,8 +124,7 @@ def test_every_box_of_the_little_scene_is_believed_to_be_itself():
     models = refine_task(1).models
     beliefs = np.zeros((3, 3))
     for number, instance in np.ndindex(3, 3):
-        others = (*segments[:number], *segments[number + 1 :])
-        task = RefineTask(goal_frame(), segments[number], others, instance, models)
+        task = RefineTask.of(goal_frame(), segments, number, instance, models)
         beliefs[number, instance] = plugin.verify(task)
     assert (beliefs.argmax(axis=1) == np.arange(3)).all() and np.diag(beliefs).min() > 0.5
 

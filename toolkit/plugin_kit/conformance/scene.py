@@ -82,5 +82,4 @@ def refine_task(object_id: int, starts: tuple[Start, ...] = ()) -> RefineTask:
     found, instances = regions()
     database = Database(current_frames(), found, instances, np.zeros((len(found), 1), np.float32))
     segments = segments_of(goal_frame())
-    others = tuple(segment for number, segment in enumerate(segments, start=1) if number != object_id)
-    return RefineTask(goal_frame(), segments[object_id - 1], others, object_id - 1, Models(database), starts)
+    return RefineTask.of(goal_frame(), segments, object_id - 1, object_id - 1, Models(database), starts)
