@@ -15,7 +15,7 @@ class OrbConfig(PluginConfig):
     """Settings of `orb`."""
 
     crop_size: int = Field(320, ge=64, description="Side of the crops, pixels.")
-    max_features: int = Field(800, ge=8, description="Keypoints kept a crop.")
+    max_features: int = Field(800, ge=8, description="Keypoints kept per crop.")
 
 
 class OrbMatcher(Plugin):

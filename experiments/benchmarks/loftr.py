@@ -137,7 +137,7 @@ def main() -> None:
         f"{options.threads} thread(s), torch {torch.__version__}; medians of {options.repeats}.\n"
     )
     print(
-        f"| | an object, ms | times faster | with its share of the database ({options.objects} objects), ms "
+        f"| | per object, ms | times faster | with its share of the database ({options.objects} objects), ms "
         "| times faster | matches shared | median gap, px |\n| --- | --- | --- | --- | --- | --- | --- |"
     )
     print("\n".join(lines))

@@ -37,19 +37,26 @@ class NerpSceneGraphConfig(PluginConfig):
     """Settings of `nerp_scene_graph`."""
 
     base: str = Field(default="render_compare", description="The refiner that finds the motions.")
-    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Its settings.")
-    descriptor: str = Field(default="color_hist", description="What describes the look of a node.")
-    rounds: int = Field(default=4, ge=0, description="Messages along the edges; 0 leaves it to the nodes.")
-    edges: float = Field(default=1.0, ge=0, description="Weight of the edges against the nodes.")
+    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Settings of `base`.")
+    descriptor: str = Field(default="color_hist", description="The descriptor that describes how a node looks.")
+    rounds: int = Field(
+        default=4, ge=0, description="Number of rounds of messages along the edges; with 0, only the nodes count."
+    )
+    edges: float = Field(default=1.0, ge=0, description="Weight of the edges relative to the nodes.")
     yaws: int = Field(
-        default=36, ge=4, description="Turns about the vertical in which an instance's silhouette is measured."
+        default=36,
+        ge=4,
+        description="Number of turns about the vertical in which the silhouette of an instance is measured.",
     )
     silhouette: float = Field(
-        default=0.1, gt=0, description="Standard deviation of silhouettes, as a share of their width."
+        default=0.1, gt=0, description="Standard deviation of the widths of silhouettes, as a share of the width."
     )
-    color: float = Field(default=8.0, gt=0, description="Standard deviation of mean colours, CIE Lab.")
+    color: float = Field(default=8.0, gt=0, description="Standard deviation of mean colours, in CIE Lab.")
     temperature: float = Field(
-        default=0.05, gt=0, description="Small: the best pair takes all; large: beliefs stay spread."
+        default=0.05,
+        gt=0,
+        description="Temperature of the assignment: with a small one the best pair takes all, with a large one "
+        "beliefs stay spread.",
     )
 
 
@@ -141,7 +148,7 @@ def match(pairs: Pairs, settings: NerpSceneGraphConfig = DEFAULTS) -> Float:
 
     A node's own evidence is how alike the pair looks and how well its silhouettes fit. An edge compares the relation of
     two goal objects, their relative size and contrast, with that of two instances: both are alike where the two pairs
-    have changed by the same. So what has changed for all, as the light or the scale, speaks against none.
+    have changed by the same. So a change that is common to all, such as one of light or scale, counts against none.
 
     Returns:
         (Q, K) in 0..1; no row and no column sums to more than 1.

@@ -1,4 +1,4 @@
-"""online_descriptor: any descriptor, made to tell apart the objects that stand on this very table."""
+"""online_descriptor: any descriptor, adapted to tell apart the objects of the scene at hand."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ class OnlineDescriptorConfig(PluginConfig):
     """Settings of `online_descriptor`."""
 
     base: str = Field("color_hist", description="The descriptor that is adapted.")
-    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Its settings.")
+    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Settings of `base`.")
     shrinkage: float = Field(
-        0.1, gt=0, description="Added to every variance, as a share of their largest; large: nothing is learnt."
+        0.1,
+        gt=0,
+        description="Number that is added to every variance, as a share of the largest; if it is large, nothing is "
+        "learnt.",
     )
 
 

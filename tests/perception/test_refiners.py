@@ -23,7 +23,7 @@ from toolkit.perception.fusion import FusedModel, Models, Patch, RefineTask, Sta
 from toolkit.perception.jax_geometry import rotation_exp
 from toolkit.perception.lighting import estimate_light, relit
 from toolkit.perception.pipeline import Pipeline, PipelineSettings
-from toolkit.perception.refiners import align as alignment
+from toolkit.perception.refiners.comparing import align as alignment
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.combine import _about, combine
 from toolkit.perception.refiners.comparing.compare import Hypothesis
@@ -338,6 +338,7 @@ def test_where_descriptors_cannot_tell_the_models_decide():
 
 @pytest.mark.parametrize("kind", ["twins", "recolored"])
 def test_lookalikes_are_told_apart_or_shared_out(cache, tmp_path, kind):
+    pytest.importorskip("pybullet")
     config = TabletopConfig(
         scenes=1, seed=3, min_objects=2, max_objects=2, views=4, rotation_deg=60, lookalikes=kind, renderer="tiny"
     )
@@ -348,6 +349,7 @@ def test_lookalikes_are_told_apart_or_shared_out(cache, tmp_path, kind):
 
 
 def test_objects_that_were_tipped_over_lie_on_the_table(cache, tmp_path):
+    pytest.importorskip("pybullet")
     config = TabletopConfig(scenes=1, seed=0, min_objects=3, max_objects=3, poses="stable", renderer="tiny")
     capture = load_capture(build_dataset(config, tmp_path / "tipped", cache) / "000000")
     assert sum(rotation_angle(_about_horizontal(t.T_goal_current)) > 0.5 for t in capture.truth.values()) >= 2

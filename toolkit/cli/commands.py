@@ -14,13 +14,13 @@ import typer
 from toolkit.cli.options import (
     ExperimentArgument,
     OutOption,
-    cores,
     read_experiment,
     run_options,
     with_experiment_options,
     with_run_options,
 )
 from toolkit.errors import ToolkitError
+from toolkit.parallel import cores
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from toolkit.errors import ToolkitError
+from toolkit.parallel import cores
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:
@@ -97,11 +97,6 @@ def read_experiment(name: str, choices: Mapping[str, Any], *, rearranges: bool =
     if choices["seed"] is not None:
         overrides["seed"] = [choices["seed"]]
     return load_experiment(name, overrides, rearranges=rearranges)
-
-
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def _option(name: str, kind: Any, default: Any, flag: str, text: str) -> inspect.Parameter:

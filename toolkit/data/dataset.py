@@ -16,6 +16,7 @@ from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import is_whole, make_once, write_json
 from toolkit.parallel import Here, Workers
+from toolkit.sim.bullet import require_pybullet
 
 OnScene = Callable[[int, int], None]
 """Called with (finished, total) after every scene."""
@@ -44,6 +45,7 @@ def cached_dataset(
     Raises:
         ToolkitError: as `build_dataset`.
     """
+    require_pybullet()
     objects = object_set(config.objects, cache)
     settings = config.model_dump(mode="json", exclude={"scenes"})
     key = digest(
@@ -77,9 +79,10 @@ def build_dataset(
         on_scene: progress.
 
     Raises:
-        ToolkitError: the folder holds something else, the object set does not load, or the table does not hold the
-            objects.
+        ToolkitError: the folder holds something else, the object set does not load, the table does not hold the objects,
+            or there is no PyBullet here.
     """
+    require_pybullet()
     objects = object_set(config.objects, cache)
     made = _made(config.model_dump(mode="json"), config.renderer, objects)
     begun = out.exists() and any(not path.name.startswith(".") for path in out.iterdir())

@@ -1,4 +1,4 @@
-"""Runs the cells of an experiment on the same scenes and writes rows, summary, pictures and report (DESIGN 9)."""
+"""Runs the cells of an experiment on the same scenes and writes rows, summary, pictures and report."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.data.bop import load_capture
-from toolkit.data.source import Dataset, open_dataset
+from toolkit.data.source import Dataset, open_dataset, require_source
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
 from toolkit.harness.cache import Cache
@@ -46,6 +46,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, progress: Progre
     if experiment.rearrange is not None:
         raise ToolkitError(f"experiment '{experiment.name}' moves objects; run it with `toolkit rearrange`")
     cells = expand(experiment)
+    for cell in cells:
+        require_source(cell.dataset)
     weights = require_ready(cells)
     cache = Cache(cache_root() / "stages") if options.use_cache else None
     resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shutil
 import subprocess
@@ -22,6 +21,7 @@ from toolkit.errors import ToolkitError
 from toolkit.files import write_json, write_text
 from toolkit.harness.cache import library_versions
 from toolkit.harness.experiment import Cell
+from toolkit.parallel import cores
 from toolkit.results.rows import Row, SceneRow, read_rows_as, write_rows
 
 ROWS = "rows.jsonl"
@@ -193,7 +193,7 @@ def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping
             "python": platform.python_version(),
             "platform": platform.platform(),
             "processor": _processor(),
-            "cores": len(os.sched_getaffinity(0)),
+            "cores": cores(),
             "versions": library_versions(),
             "weights": dict(weights),
             "datasets": [dict(dataset) for dataset in datasets],

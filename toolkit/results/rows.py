@@ -1,4 +1,4 @@
-"""Rows (one an object and cell), their files, and the summary of a cell (DESIGN 9)."""
+"""Rows (one per object and cell), their files, and the summary of a cell."""
 
 from __future__ import annotations
 

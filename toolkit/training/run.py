@@ -18,6 +18,7 @@ from toolkit.files import write_text
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.registry import validated
+from toolkit.sim.bullet import require_pybullet
 from toolkit.training.config import LoftrTraining, MixvprTraining
 from toolkit.training.export import export
 from toolkit.training.loftr import LoftrTask
@@ -87,9 +88,10 @@ def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOp
     """Train, evaluate and export; returns the exported file.
 
     Raises:
-        ToolkitError: weights to start from cannot be had, the folder holds a training already or none to resume, or a
-            pool cannot be made.
+        ToolkitError: weights to start from cannot be had, the folder holds a training already or none to resume, a
+            pool cannot be made, or there is no PyBullet here to render it.
     """
+    require_pybullet()
     torch.set_num_threads(options.threads)
     cv2.setNumThreads(1)
     _check_folder(options)

@@ -19,9 +19,15 @@ class KMeansConfig(PluginConfig):
     """Settings of `kmeans`."""
 
     k: Literal["data", "max_per_frame"] = Field(
-        "data", description="How K is found: see the class; max_per_frame is the least it can be."
+        "data",
+        description="How the number of clusters K is found: `max_per_frame` takes the largest number of regions in "
+        "one frame, and `data` raises it until no cluster holds two regions of one frame.",
     )
-    center: Literal["box", "mean"] = Field("box", description="Middle of the cloud's box in plan, or its mean (paper).")
+    center: Literal["box", "mean"] = Field(
+        "box",
+        description="The centre of a region: the middle of its cloud's box seen from above, or the mean of its "
+        "points as in the paper.",
+    )
 
 
 class KMeansAssociator(Plugin):

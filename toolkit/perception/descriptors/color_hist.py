@@ -1,4 +1,4 @@
-"""Colour histogram of a region."""
+"""The colour histogram of a region."""
 
 from __future__ import annotations
 
@@ -15,8 +15,13 @@ from toolkit.types import Crop, Float, Image, Mask
 class ColorHistogramConfig(PluginConfig):
     """Settings of `color_hist`."""
 
-    bins: int = Field(8, ge=2, le=32, description="Bins of each Lab channel.")
-    smooth: float = Field(0.7, ge=0, le=4, description="Blur of the histogram, in bins: colours near an edge share.")
+    bins: int = Field(8, ge=2, le=32, description="Number of bins of each Lab channel.")
+    smooth: float = Field(
+        0.7,
+        ge=0,
+        le=4,
+        description="Blur of the histogram, in bins, so that colours near the edge of a bin count in the next one too.",
+    )
 
 
 class ColorHistogram(Plugin):

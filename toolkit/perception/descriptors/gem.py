@@ -22,8 +22,12 @@ _BATCH = 32
 class GemConfig(PluginConfig):
     """Settings of `gem`."""
 
-    power: float = Field(3.0, ge=1, description="Of the generalised mean: 1 is the mean, large ones the maximum.")
-    backbone_file: Path | None = Field(None, description="EfficientNet-Lite0's weights, instead of the package's.")
+    power: float = Field(
+        3.0, ge=1, description="Power of the generalised mean: 1 gives the mean, and a large power the maximum."
+    )
+    backbone_file: Path | None = Field(
+        None, description="A file with weights of EfficientNet-Lite0, used instead of those of the weight card."
+    )
     device: str = Field("cpu", description="Torch device.")
 
 

@@ -15,8 +15,8 @@ from toolkit.types import Crop, Float, Image
 class HogConfig(PluginConfig):
     """Settings of `hog`."""
 
-    cells: int = Field(8, ge=2, le=32, description="Cells a side.")
-    orientations: int = Field(9, ge=2, le=36, description="Bins over 180 degrees.")
+    cells: int = Field(8, ge=2, le=32, description="Number of cells per side.")
+    orientations: int = Field(9, ge=2, le=36, description="Number of bins over 180 degrees.")
 
 
 class Hog(Plugin):

@@ -26,10 +26,15 @@ class MixvprConfig(PluginConfig):
 
     backbone: Literal["efficientnet_lite0", "resnet50"] = Field(
         "efficientnet_lite0",
-        description="The light variant trained for object crops, whose mixer is shipped; or the official one.",
+        description="The backbone: the light one, with the mixer that is shipped and was trained on object crops, or "
+        "the official ResNet50.",
     )
-    file: Path | None = Field(None, description="Weights of your own: of the mixer, or a whole official checkpoint.")
-    backbone_file: Path | None = Field(None, description="EfficientNet-Lite0's weights, instead of the package's.")
+    file: Path | None = Field(
+        None, description="A file with your own weights: those of the mixer, or a whole official checkpoint."
+    )
+    backbone_file: Path | None = Field(
+        None, description="A file with weights of EfficientNet-Lite0, used instead of those of the weight card."
+    )
     device: str = Field("cpu", description="Torch device.")
 
 

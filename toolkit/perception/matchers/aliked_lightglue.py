@@ -15,7 +15,9 @@ from toolkit.perception.matchers.shared.lightglue import LightGlueConfig, LightG
 class AlikedConfig(LightGlueConfig):
     """Settings of `aliked_lightglue`."""
 
-    model: Literal["n16", "n16rot"] = Field("n16", description="n16rot was trained with in-plane rotations.")
+    model: Literal["n16", "n16rot"] = Field(
+        "n16", description="ALIKED's model; n16rot was trained with in-plane rotations."
+    )
 
 
 class AlikedLightGlue(LightGlueMatcher):

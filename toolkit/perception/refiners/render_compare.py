@@ -26,26 +26,36 @@ class RefinerConfig(PluginConfig):
 
     prior: Literal["planar", "resting", "none"] = Field(
         "planar",
-        description="Objects turn about the vertical and slide on the table, rest on it on any side, or move freely.",
+        description="`planar`: objects turn about the vertical and slide on the table; `resting`: they may rest on "
+        "any side; `none`: they move freely.",
     )
-    patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
-    iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
-    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers of less confidence are withheld.")
-    min_pixels: int = Field(30, ge=1, description="An object of which the goal shows fewer pixels is not judged.")
-    same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
+    patches: int = Field(
+        2, ge=1, le=8, description="Number of views with which a hypothesis is compared, the nearest first."
+    )
+    iterations: int = Field(
+        8, ge=0, description="Gauss-Newton steps per level; with 0, hypotheses stay as they are found."
+    )
+    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers with less confidence than this are withheld.")
+    min_pixels: int = Field(
+        30, ge=1, description="An object of which the goal image shows fewer pixels than this is not judged."
+    )
+    same_score: float = Field(
+        0.03, ge=0, description="Hypotheses whose score is this close to the best one count as equally good."
+    )
 
 
 class RenderCompareConfig(RefinerConfig):
     """Settings of `render_compare`."""
 
-    yaws: int = Field(72, ge=4, description="Turns about the vertical that are tried.")
+    yaws: int = Field(72, ge=4, description="Number of turns about the vertical that are tried.")
     rests: int = Field(
         26,
         ge=1,
-        description="Sides put up without the planar prior, stable ones first, in a third of the yaws each.",
+        description="Without the planar prior: number of sides that are put up, stable ones first, each in a third "
+        "of the yaws.",
     )
-    kept: int = Field(10, ge=2, description="Best hypotheses that are refined, starts included.")
-    use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
+    kept: int = Field(10, ge=2, description="Number of best hypotheses that are refined, starts included.")
+    use_starts: bool = Field(True, description="Whether the motion that PnP found competes with the hypotheses.")
 
 
 @dataclass
@@ -102,7 +112,7 @@ class ImageRefiner(Plugin):
         return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), search)
 
     def _prepared(self, task: RefineTask) -> tuple[Cloud, Search] | Failure:
-        """The instance's cloud and the hypotheses for it, made once a scene."""
+        """The instance's cloud and the hypotheses for it, made once per scene."""
         model = task.models.get(task.instance)
         if isinstance(model, Failure):
             return model

@@ -18,8 +18,12 @@ from toolkit.types import Float, Frame
 class TableConfig(PluginConfig):
     """Settings of the `table` registration: how far stated poses are off."""
 
-    rotation_deg: float = Field(0.2, gt=0, description="Expected error of a camera's orientation, an axis.")
-    translation_mm: float = Field(2.0, gt=0, description="Expected error of its place, an axis.")
+    rotation_deg: float = Field(
+        0.2, gt=0, description="Expected error of a camera's orientation, in degrees about each axis."
+    )
+    translation_mm: float = Field(
+        2.0, gt=0, description="Expected error of a camera's place, in millimetres along each axis."
+    )
 
     @property
     def sigma(self) -> Float:

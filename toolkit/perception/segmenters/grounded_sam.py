@@ -16,18 +16,18 @@ from toolkit.types import Frame, Mask, Segment
 from toolkit.weights.resolve import file_digest, resolve_folder
 
 _LEAST_LEFT = 0.5
-"""A mask that better ones leave less of than this part is the same object again, or a group of objects."""
+"""A mask of which better masks leave less than this share shows the same object again, or a group of objects."""
 
 
 class GroundedSamConfig(PluginConfig):
     """Settings of the `grounded_sam` segmenter."""
 
-    prompt: str = Field("objects", min_length=1, description="What to find; several things are parted by full stops.")
+    prompt: str = Field("objects", min_length=1, description="What to find; full stops separate several things.")
     box_threshold: float = Field(0.25, ge=0, le=1, description="Least score of a box.")
-    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word a box stands for.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
-    detector: Path | None = Field(None, description="Folder of a Grounding DINO of your own, as transformers saves it.")
-    sam: Path | None = Field(None, description="Folder of a SAM of your own, as transformers saves it.")
+    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word that a box stands for.")
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
+    detector: Path | None = Field(None, description="Folder with your own Grounding DINO, as transformers saves it.")
+    sam: Path | None = Field(None, description="Folder with your own SAM, as transformers saves it.")
     device: str = Field("cpu", description="Torch device.")
 
 
@@ -97,7 +97,7 @@ class GroundedSamSegmenter(Plugin):
 
 
 def disjoint(masks: Mask, scores: np.ndarray, min_pixels: int) -> list[Segment]:
-    """Part masks that overlap: the better ones keep what they have, and what is left of a mask is its segment.
+    """Make masks that overlap disjoint: better ones keep what they have, and what is left of a mask is its segment.
 
     Args:
         masks: (N, H, W) bool.

@@ -14,7 +14,7 @@ from toolkit.types import Frame, Segment
 class OracleSegmenterConfig(PluginConfig):
     """Settings of the `oracle` segmenter."""
 
-    min_pixels: int = Field(1, ge=1, description="Objects with fewer visible pixels are not seen.")
+    min_pixels: int = Field(1, ge=1, description="Objects with fewer visible pixels are left out.")
 
 
 class OracleSegmenter(Plugin):

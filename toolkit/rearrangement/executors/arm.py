@@ -18,6 +18,7 @@ from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.rearrangement.stages import GRASPERS, MOTION
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.sim.bench import STEP_S, Bench, Touch
+from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
@@ -64,7 +65,8 @@ class Arm(Plugin):
     """Called at every step of a motion, for films."""
 
     def check_ready(self) -> None:
-        """See Plugin: the robot's description, the motion planner and the grasper can be had."""
+        """See Plugin: the simulator, the robot's description, the motion planner and the grasper can be had."""
+        require_pybullet()
         ROBOTS[self.config.robot].urdf()
         MOTION.get(self.config.motion)(None).check_ready()
         GRASPERS.get(self.config.grasp)(None).check_ready()

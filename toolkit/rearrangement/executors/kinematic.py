@@ -17,6 +17,7 @@ from toolkit.rearrangement.executors.handling.resting import settle
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.solids import Solids
 from toolkit.types import Failure, Float, Frame, Image
 
@@ -48,6 +49,10 @@ class Kinematic(Plugin):
 
     on_step: Callable[[], None] | None = None
     """Called at every step of a motion, for films."""
+
+    def check_ready(self) -> None:
+        """See Plugin: there is a simulator."""
+        require_pybullet()
 
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""

@@ -24,11 +24,11 @@ from toolkit.weights.resolve import file_digest, resolve_weights
 class LightGlueConfig(TurningConfig):
     """Settings of the matchers with LightGlue."""
 
-    crop_size: int = Field(320, ge=32, multiple_of=32, description="Side of the crops, pixels.")
-    max_features: int = Field(1024, ge=8, description="Keypoints kept a crop, strongest first.")
+    crop_size: int = Field(320, ge=32, multiple_of=32, description="Side of the crops, in pixels.")
+    max_features: int = Field(1024, ge=8, description="Number of keypoints kept per crop, the strongest first.")
     threshold: float = Field(0.1, ge=0, le=1, description="Least confidence of a match.")
-    extractor_file: Path | None = Field(None, description="A checkpoint of your own for the keypoints.")
-    glue_file: Path | None = Field(None, description="A checkpoint of your own for LightGlue.")
+    extractor_file: Path | None = Field(None, description="Your own checkpoint for the keypoints.")
+    glue_file: Path | None = Field(None, description="Your own checkpoint for LightGlue.")
     device: str = Field("cpu", description="Torch device.")
 
 
@@ -53,7 +53,7 @@ class LightGlueMatcher(TurningMatcher):
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
+        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     @abstractmethod

@@ -19,10 +19,12 @@ _COLLINEAR = 1e-3
 class PnPConfig(PluginConfig):
     """Settings every solver understands."""
 
-    reprojection_px: float = Field(1.2, gt=0, le=100, description="largest reprojection error of an inlier, pixels")
-    iterations: int = Field(10000, ge=1, le=1_000_000, description="largest number of minimal samples")
-    min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="fewest inliers of an accepted pose")
-    confidence: float = Field(0.9999, gt=0, lt=1, description="wanted probability of an outlier-free sample")
+    reprojection_px: float = Field(1.2, gt=0, le=100, description="Largest reprojection error of an inlier, in pixels.")
+    iterations: int = Field(10000, ge=1, le=1_000_000, description="Largest number of minimal samples.")
+    min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="Smallest number of inliers of an accepted pose.")
+    confidence: float = Field(
+        0.9999, gt=0, lt=1, description="Probability with which at least one sample shall be free of outliers."
+    )
 
 
 class RobustPnP(Plugin):
