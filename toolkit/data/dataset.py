@@ -79,8 +79,8 @@ def build_dataset(
         on_scene: progress.
 
     Raises:
-        ToolkitError: the folder holds something else, the object set does not load, the table does not hold the objects,
-            or there is no PyBullet here.
+        ToolkitError: the folder holds something else, the object set does not load, the table does not hold the
+            objects, or there is no PyBullet here.
     """
     require_pybullet()
     objects = object_set(config.objects, cache)
