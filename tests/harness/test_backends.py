@@ -211,6 +211,16 @@ def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     assert all(json.loads(line)["cached"] for line in (runs[1] / "rows.jsonl").read_text().splitlines())
 
 
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("toolkit.parallel.dask._ALONE_S", 1)
+    with open_workers(2, "dask") as workers:
+        workers.client.cluster.scale(0)
+        wait_for(lambda: not workers.client.scheduler_info()["workers"])
+        with pytest.raises(ToolkitError, match="the dask cluster on this machine was lost; finished rows are kept"):
+            list(workers.map(abs, [-1, -2]))
+
+
 def test_a_worker_with_other_code_is_refused():
     setup = WorkerSetup.of_this_process()
     with pytest.raises(ToolkitError, match="a worker has other toolkit code"):
