@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from toolkit.errors import ToolkitError
 from toolkit.harness.ablate import Ablation
 from toolkit.harness.drive import drive
 from toolkit.harness.experiment import expand, load_experiment
-from toolkit.harness.runs import RunOptions
+from toolkit.harness.runs import RunOptions, open_run
 from toolkit.results.rows import append_rows, read_rows
 
 PIPELINE = {
@@ -102,7 +103,7 @@ def test_missing_weights_stop_the_command_before_any_work(tmp_path, monkeypatch)
     assert not (tmp_path / "cache").exists()
 
 
-def _no_network(source, target):
+def _no_network(source, target, sha256):
     raise OSError("no route to host")
 
 
@@ -163,6 +164,19 @@ def test_a_run_folder_is_never_overwritten_by_accident(experiment, tmp_path):
         drive(Ablation(), loaded, RunOptions(out=run))
     with pytest.raises(ToolkitError, match="no run with these settings"):
         drive(Ablation(), load_experiment(str(experiment), {"seed": [7]}), RunOptions(out=run, resume=True))
+
+
+def test_runs_that_begin_in_the_same_second_do_not_meet(tmp_path, monkeypatch):
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("toolkit.harness.runs.datetime", Stopped)
+    runs = [open_run("small", {"of": n}, None, resume=False, fresh=False) for n in range(3)]
+    assert len({*runs}) == 3
+    assert [open_run("small", {"of": n}, None, resume=True, fresh=False) for n in range(3)] == runs
 
 
 @pytest.mark.parametrize("place", ["/proc/nowhere/run", "/dev/null/run"])

@@ -141,6 +141,69 @@ def test_work_that_kills_every_worker_ends_in_a_sentence(backend):
         assert sorted(workers.map(abs, [-1, -2, -3])) == [1, 2, 3]
 
 
+TASKS = """
+import os, time
+from pathlib import Path
+
+kept = []
+
+def grow(megabytes):
+    import psutil
+    kept.append(os.urandom(1) * (megabytes * 10**6))
+    time.sleep(0.6)
+    return os.getpid(), psutil.Process().memory_info().rss
+
+def stay(_):
+    Path(f"{os.getpid()}.pid").touch()
+    time.sleep(600)
+"""
+GROWING = """
+from tasks import grow
+from toolkit.parallel import open_workers
+
+with open_workers(2, say=print) as workers:
+    first, second = list(workers.map(grow, [110] * 8)), list(workers.map(grow, [0] * 4))
+print(len({pid for pid, _ in first}), {pid for pid, _ in second} <= {pid for pid, _ in first})
+print(max(size for _, size in first) > 300e6)
+"""
+STAYING = """
+from tasks import stay
+from toolkit.parallel import open_workers
+
+with open_workers(2) as workers:
+    list(workers.map(stay, [1, 2]))
+"""
+
+
+def started(script: str, folder: Path, **options) -> subprocess.Popen:
+    """A user's script that starts workers, without a guard around what it does."""
+    (folder / "tasks.py").write_text(TASKS)
+    (folder / "script.py").write_text(script)
+    return subprocess.Popen([sys.executable, "script.py"], cwd=folder, stderr=subprocess.PIPE, text=True, **options)
+
+
+def test_workers_that_grow_stay_and_nobody_warns(tmp_path):
+    pytest.importorskip("psutil")  # without it, nobody looks at the size of a process
+    assert started(GROWING, tmp_path, stdout=subprocess.PIPE).communicate(timeout=300) == ("2 True\nTrue\n", "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_workers_end_with_their_main_process(number, tmp_path):
+    main = started(STAYING, tmp_path, start_new_session=True)
+    wait_for(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+    # Ctrl-C goes to all processes of a terminal.
+    os.killpg(main.pid, number) if number == signal.SIGINT else main.send_signal(number)
+    main.communicate(timeout=60)
+    wait_for(lambda: not any(Path("/proc", path.stem).exists() for path in tmp_path.glob("*.pid")))
+
+
+def wait_for(ready, seconds=60):
+    deadline = time.monotonic() + seconds
+    while not ready():
+        assert time.monotonic() < deadline, "waited for too long"
+        time.sleep(0.05)
+
+
 def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TOOLKIT_CACHE", os.path.relpath(os.environ["TOOLKIT_CACHE"]))
@@ -149,6 +212,16 @@ def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     ]
     assert lines(runs[0]) == lines(runs[1]) == lines(reference)
     assert all(json.loads(line)["cached"] for line in (runs[1] / "rows.jsonl").read_text().splitlines())
+
+
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("toolkit.parallel.dask._ALONE_S", 1)
+    with open_workers(2, "dask") as workers:
+        workers.client.cluster.scale(0)
+        wait_for(lambda: not workers.client.scheduler_info()["workers"])
+        with pytest.raises(ToolkitError, match="the dask cluster on this machine was lost; finished rows are kept"):
+            list(workers.map(abs, [-1, -2]))
 
 
 def test_a_worker_with_other_code_is_refused():

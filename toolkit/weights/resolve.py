@@ -89,19 +89,13 @@ def _is_intact(card: WeightCard, path: Path) -> bool:
 def _fetch(card: WeightCard) -> Path:
     """Fetch from the first source that delivers what the card says; nothing else reaches the final name."""
     target = weight_folders()[-1] / card.file
-    arriving = target.with_name(f"{target.name}.new")
     reasons: list[str] = []
     for source in card.sources:
         try:
-            fetch(source, arriving)
+            fetch(source, target, card.sha256)
+            return target
         except OSError as error:
             reasons.append(str(error))
-            continue
-        if _is_intact(card, arriving):
-            arriving.replace(target)
-            return target
-        arriving.unlink()
-        reasons.append(f"what {source} delivers has another sha256 than the card")
     raise ToolkitError(
         f"weights '{card.name}' cannot be fetched here: {'; '.join(reasons)}; "
         f"put {card.file} into '{target.parent}' or name a folder that holds it in $TOOLKIT_WEIGHTS"
