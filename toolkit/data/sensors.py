@@ -230,5 +230,5 @@ def _edges(depth: Float, reach: int) -> Mask:
 
 def _smooth(rng: np.random.Generator, shape: tuple[int, ...], sigma: float) -> Float:
     """(H, W) noise of unit deviation that is smooth over `sigma` pixels."""
-    field = cv2.GaussianBlur(rng.standard_normal(shape).astype(np.float32), (0, 0), sigma)
+    field = cv2.GaussianBlur(rng.standard_normal(shape, np.float32), (0, 0), sigma)
     return field / field.std()
