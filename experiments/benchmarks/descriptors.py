@@ -157,7 +157,7 @@ def main() -> None:
         )
     least = np.median([outcome.least for outcome in outcomes])
     print(
-        "| descriptor | queries | recall@1 | view error, deg | beyond 90 deg | nearest view found | ms a crop |\n"
+        "| descriptor | queries | recall@1 | view error, deg | beyond 90 deg | nearest view found | ms per crop |\n"
         "| --- | --- | --- | --- | --- | --- | --- |"
     )
     print("\n".join(lines))

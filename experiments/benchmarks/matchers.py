@@ -124,8 +124,12 @@ def main() -> None:
         f"milliseconds of CPU; right: within {RIGHT_PX:g} px in the goal image and on the side it shows, "
         "of the matches where depth is whole.\n"
     )
-    print("| matcher | pairs | extract, ms a crop | match, ms a pair | matches a pair | right a pair | share right |")
-    print("| --- | --- | --- | --- | --- | --- | --- |", flush=True)
+    print(
+        "| matcher | pairs | extract, ms per crop | match, ms per pair | matches per pair "
+        "| right per pair | share right |\n"
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        flush=True,
+    )
     for name, matcher in ready.items():
         with Progress(Console(stderr=True)).step(name, len(pairs)) as advance:
             result = tally(matcher, pairs, advance)

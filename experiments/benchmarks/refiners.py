@@ -62,7 +62,7 @@ def whole_objects(
         times["one object, every route"].append(median)
         for stage in ("descriptor", "matcher", "pnp", "refiner"):
             times[f"of that, {stage}"].append(float(np.median([run[stage] for run in own])))
-        times["once a database, for each object"].append(paid - median)
+        times["once per database, for each object"].append(paid - median)
 
 
 def of_views(database: Database, views: int) -> Database:

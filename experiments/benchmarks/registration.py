@@ -57,7 +57,7 @@ def main() -> None:
             goal = stage.locate(stated[-1], frames)
             times[name].append(1e3 * (time.perf_counter() - start))
             errors[name].append(disagreement(frames, goal, capture.current, capture.goal))
-    print("| registration | disagreement, mm, median | p90 | time a scene, ms |\n| --- | --- | --- | --- |")
+    print("| registration | disagreement, mm, median | p90 | time per scene, ms |\n| --- | --- | --- | --- |")
     for name, own in errors.items():
         print(f"| {name} | {np.median(own):.2f} | {np.quantile(own, 0.9):.2f} | {np.median(times[name]):.0f} |")
 

@@ -5,7 +5,7 @@
 
 Masks, association and retrieval are the truth's, so that what is left to find is each object's motion. Every order
 starts with the home view, the first. `ring`: one after the other around the table; `spread`: each as far as can be from
-those before; `random`: seeded by the scene. A second table says what it is to end where every object is sure.
+those before; `random`: seeded by the scene. A second table shows the end where every object is sure.
 """
 
 from __future__ import annotations

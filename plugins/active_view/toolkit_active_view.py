@@ -27,11 +27,15 @@ _THINNED = 2000
 class ActiveViewConfig(PluginConfig):
     """Settings of `active_view`."""
 
-    yaws: int = Field(default=72, ge=4, description="Turns about the vertical that an object may have made.")
+    yaws: int = Field(default=72, ge=4, description="Number of turns about the vertical that an object may have made.")
     sure: float = Field(
-        default=0.9, ge=0, le=1, description="Looking ends when every object's confidence is this high, ..."
+        default=0.9,
+        ge=0,
+        le=1,
+        description="Looking ends when the confidence of every object is at least this high, or when the budget is "
+        "spent.",
     )
-    budget: int = Field(default=8, ge=1, description="... or after so many views.")
+    budget: int = Field(default=8, ge=1, description="Largest number of views that are taken.")
 
 
 DEFAULTS = ActiveViewConfig()
@@ -44,7 +48,7 @@ class Looked:
     Attributes:
         order: candidates in the order in which they were taken.
         frames: their frames.
-        estimates: one a goal object, from all of them.
+        estimates: one per goal object, from all of them.
     """
 
     order: tuple[int, ...]
@@ -98,13 +102,14 @@ def gains(
     A motion becomes sure when the side that the goal image shows has been seen now. Which side that is depends on the
     turn asked for: for a turn R it is the one seen from R^T d, d being the direction from the goal object to the goal
     camera. With probability 1 - confidence the estimate is wrong, and then most likely because that side has not been
-    seen: had it been, it would have been found. So the doubt is spread over all turns by how little of their side is
-    known, and a candidate gains what it would show of these sides beyond what is known, where nothing is in its way.
+    seen: if it had been seen, it would have been found. So the doubt is spread over all turns, in proportion to how
+    little of their side is known. A candidate gains what it would show of these sides beyond what is known, as far as
+    nothing hides it.
 
     Args:
         database: of the frames so far.
         goal: the goal image.
-        estimates: one a goal object, from these frames.
+        estimates: one per goal object, from these frames.
         candidates: C cameras.
         settings: `yaws`.
 

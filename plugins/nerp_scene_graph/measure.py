@@ -1,4 +1,4 @@
-"""Goal objects given their right instance, by who decides. Prints Markdown.
+"""How many goal objects are given their right instance, for every way to decide. Prints Markdown.
 
     toolkit dataset build twins --scenes 20 --seed 0 --set lookalikes=twins --set min_objects=2
     python plugins/nerp_scene_graph/measure.py twins
@@ -122,7 +122,7 @@ def main() -> None:
     options = parser.parse_args()
     choices = {**CHOICES, "descriptor": options.descriptor}
     pipeline = Pipeline(Stages(**{slot: REGISTRIES[stage].create(choices[slot]) for slot, stage in SLOTS.items()}))
-    print("| scenes | decided by | objects | right | more than render_compare, points | ms a scene |")
+    print("| scenes | decided by | objects | right | more than render_compare, points | ms per scene |")
     print("| --- | --- | --- | --- | --- | --- |")
     for folder in options.datasets:
         found: dict[str, list[bool]] = {}

@@ -18,7 +18,7 @@ from toolkit.perception.crops import crop_region
 from toolkit.perception.fusion import FusedModel, Models, RefineTask
 from toolkit.perception.refiners.comparing.rotations import yaw_rotations
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.stages import DESCRIPTORS, REFINERS
+from toolkit.stages import DESCRIPTORS, REFINERS, Refiner
 from toolkit.types import Failure, Float, Frame, Image, Mask, Refined, Segment
 
 _BEST_VIEWS = 3
@@ -37,19 +37,26 @@ class NerpSceneGraphConfig(PluginConfig):
     """Settings of `nerp_scene_graph`."""
 
     base: str = Field(default="render_compare", description="The refiner that finds the motions.")
-    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Its settings.")
-    descriptor: str = Field(default="color_hist", description="What describes the look of a node.")
-    rounds: int = Field(default=4, ge=0, description="Messages along the edges; 0 leaves it to the nodes.")
-    edges: float = Field(default=1.0, ge=0, description="Weight of the edges against the nodes.")
+    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Settings of `base`.")
+    descriptor: str = Field(default="color_hist", description="The descriptor that describes how a node looks.")
+    rounds: int = Field(
+        default=4, ge=0, description="Number of rounds of messages along the edges; with 0, only the nodes count."
+    )
+    edges: float = Field(default=1.0, ge=0, description="Weight of the edges relative to the nodes.")
     yaws: int = Field(
-        default=36, ge=4, description="Turns about the vertical in which an instance's silhouette is measured."
+        default=36,
+        ge=4,
+        description="Number of turns about the vertical in which the silhouette of an instance is measured.",
     )
     silhouette: float = Field(
-        default=0.1, gt=0, description="Standard deviation of silhouettes, as a share of their width."
+        default=0.1, gt=0, description="Standard deviation of the widths of silhouettes, as a share of the width."
     )
-    color: float = Field(default=8.0, gt=0, description="Standard deviation of mean colours, CIE Lab.")
+    color: float = Field(default=8.0, gt=0, description="Standard deviation of mean colours, in CIE Lab.")
     temperature: float = Field(
-        default=0.05, gt=0, description="Small: the best pair takes all; large: beliefs stay spread."
+        default=0.05,
+        gt=0,
+        description="Temperature of the assignment: with a small one the best pair takes all, with a large one "
+        "beliefs stay spread.",
     )
 
 
@@ -75,7 +82,7 @@ _Beliefs = dict[tuple[tuple[int, int], ...], Float]
 """Signatures of all goal objects -> what was made of them, so that asking for every pair costs one matching."""
 
 
-class NerpSceneGraph(Plugin):
+class NerpSceneGraph(Plugin[NerpSceneGraphConfig], Refiner):
     """Tells which goal object is which instance by matching two graphs, in the manner of NeRP (Qureshi et al. 2021).
 
     It answers `verify`, which `assignment: global` asks; motions are the base refiner's.
@@ -83,10 +90,8 @@ class NerpSceneGraph(Plugin):
 
     stage = "refiner"
     name = "nerp_scene_graph"
-    Config = NerpSceneGraphConfig
-    config: NerpSceneGraphConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: NerpSceneGraphConfig | None = None) -> None:
         super().__init__(config)
         if self.config.base == self.name:
             raise ToolkitError(f"refiner '{self.name}' needs another one as its base")
@@ -104,7 +109,7 @@ class NerpSceneGraph(Plugin):
         return {**self._base.digests(), **self._descriptor.digests()}
 
     def refine(self, task: RefineTask) -> Refined | Failure | None:
-        """The base's answer; see Refiner."""
+        """The base's answer."""
         return self._base.refine(task)
 
     def verify(self, task: RefineTask) -> float | None:
@@ -141,7 +146,7 @@ def match(pairs: Pairs, settings: NerpSceneGraphConfig = DEFAULTS) -> Float:
 
     A node's own evidence is how alike the pair looks and how well its silhouettes fit. An edge compares the relation of
     two goal objects, their relative size and contrast, with that of two instances: both are alike where the two pairs
-    have changed by the same. So what has changed for all, as the light or the scale, speaks against none.
+    have changed by the same. So a change that is common to all, such as one of light or scale, counts against none.
 
     Returns:
         (Q, K) in 0..1; no row and no column sums to more than 1.

@@ -66,7 +66,7 @@ def main() -> None:
                 best = (asked @ database.T).argmax(axis=1)
                 right = [owners[row] == key for row, key in zip(best, wanted, strict=True)]
                 found.setdefault((base, name), []).extend(right)
-    print("| base | adaptation | objects | recall at 1 | gained, points | ms a scene |")
+    print("| base | adaptation | objects | recall at 1 | gained, points | ms per scene |")
     print("| --- | --- | --- | --- | --- | --- |")
     for (base, name), right in found.items():
         low, high = wilson_interval(sum(right), len(right))

@@ -1,4 +1,4 @@
-"""online_descriptor: any descriptor, made to tell apart the objects that stand on this very table."""
+"""online_descriptor: any descriptor, adapted to tell apart the objects of the scene at hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.stages import DESCRIPTORS, Adaptation
+from toolkit.stages import DESCRIPTORS, Adaptation, AdaptiveDescriptor, Descriptor
 from toolkit.types import Crop, Float
 
 
@@ -18,13 +18,16 @@ class OnlineDescriptorConfig(PluginConfig):
     """Settings of `online_descriptor`."""
 
     base: str = Field("color_hist", description="The descriptor that is adapted.")
-    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Its settings.")
+    base_settings: dict[str, Any] = Field(default_factory=dict[str, Any], description="Settings of `base`.")
     shrinkage: float = Field(
-        0.1, gt=0, description="Added to every variance, as a share of their largest; large: nothing is learnt."
+        0.1,
+        gt=0,
+        description="Number that is added to every variance, as a share of the largest; if it is large, nothing is "
+        "learnt.",
     )
 
 
-class OnlineDescriptor(Plugin):
+class OnlineDescriptor(Plugin[OnlineDescriptorConfig], Descriptor, AdaptiveDescriptor):
     """A descriptor that learns from the scene's own views, the paper's future work.
 
     The views show every object several times. How an object's descriptor varies from view to view says nothing about
@@ -34,10 +37,8 @@ class OnlineDescriptor(Plugin):
 
     stage = "descriptor"
     name = "online_descriptor"
-    Config = OnlineDescriptorConfig
-    config: OnlineDescriptorConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: OnlineDescriptorConfig | None = None) -> None:
         super().__init__(config)
         self._base: Any = DESCRIPTORS.create(self.config.base, self.config.base_settings)
 

@@ -101,7 +101,7 @@ def test_distances_are_symmetric_angles(a, b):
 
 
 def test_the_printed_distance_confuses_opposite_azimuths():
-    """DESIGN 12: arctan(y / x) does not tell a view from the one across the table."""
+    """arctan(y / x) of Eq. obs_pose_distance does not tell a view from the one across the table."""
     front, back = np.array([0.6, 0.3, 0.74]), np.array([-0.6, -0.3, 0.74])
     front, back = front / np.linalg.norm(front), back / np.linalg.norm(back)
     assert paper_distance(front[None], back)[0] == pytest.approx(0, abs=1e-6)
@@ -115,7 +115,7 @@ def test_turned_crops_match_where_they_were(quarters):
     class Pixels(TurningMatcher):
         """Matches every tenth pixel of an object to the same pixel, where both images are equal."""
 
-        Config = TurningConfig
+        crop_size = 64
 
         def extract_upright(self, crops):
             return crops

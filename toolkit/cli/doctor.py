@@ -10,19 +10,19 @@ from collections.abc import Iterator
 from toolkit import __version__
 from toolkit.errors import ToolkitError
 from toolkit.harness.cache import library_versions
+from toolkit.parallel import cores
 from toolkit.paths import cache_root
-from toolkit.sim.bullet import best_renderer
+from toolkit.sim.bullet import best_renderer, require_pybullet
 from toolkit.stages import REGISTRIES
 
 
 def diagnose() -> Iterator[str]:
     """Yield one finding a line."""
     yield f"toolkit {__version__}, Python {platform.python_version()}, {platform.platform()}"
-    yield f"cores: {len(os.sched_getaffinity(0))}"
+    yield f"cores: {cores()}"
     yield "libraries: " + ", ".join(f"{name} {number}" for name, number in library_versions().items())
     yield f"accelerator: {_accelerator()}"
-    egl = "loads here" if best_renderer() == "egl" else "does not load here"
-    yield f"renderer: TinyRenderer always; PyBullet's EGL plug-in {egl}"
+    yield f"simulator: {_simulator()}"
     yield f"cache: {cache_root()} ({_cache_state()})"
     for registry in REGISTRIES.values():
         for entry in registry.entries():
@@ -37,6 +37,15 @@ def _accelerator() -> str:
     import torch
 
     return torch.cuda.get_device_name() if torch.cuda.is_available() else "none seen by torch; stages run on the CPU"
+
+
+def _simulator() -> str:
+    try:
+        require_pybullet()
+    except ToolkitError as error:
+        return f"none here; {error}"
+    egl = "loads here" if best_renderer() == "egl" else "does not load here"
+    return f"PyBullet; TinyRenderer always; its EGL plug-in {egl}"
 
 
 def _cache_state() -> str:

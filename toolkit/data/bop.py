@@ -1,4 +1,4 @@
-"""Captures in the BOP scene layout (DESIGN 6). BOP is in millimetres; this module is the only place that knows."""
+"""Captures in the BOP scene layout. BOP is in millimetres; this module is the only place that knows."""
 
 from __future__ import annotations
 

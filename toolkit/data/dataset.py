@@ -17,6 +17,7 @@ from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.parallel import Here, Workers
+from toolkit.sim.bullet import require_pybullet
 
 OnScene = Callable[[int, int], None]
 """Called with (finished, total) after every scene."""
@@ -43,6 +44,7 @@ def cached_dataset(
     Raises:
         ToolkitError: as `build_dataset`.
     """
+    require_pybullet()
     objects = object_set(config.objects, cache)
     key = digest(
         {
@@ -74,8 +76,10 @@ def build_dataset(
         on_scene: progress.
 
     Raises:
-        ToolkitError: the folder holds something, the object set does not load, or the table does not hold the objects.
+        ToolkitError: the folder holds something, the object set does not load, the table does not hold the objects, or
+            there is no PyBullet here.
     """
+    require_pybullet()
     if out.exists() and any(out.iterdir()):
         raise ToolkitError(f"'{out}' is not empty; name a new folder")
     _build(config, object_set(config.objects, cache), out, cache, workers, on_scene)

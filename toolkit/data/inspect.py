@@ -1,4 +1,4 @@
-"""A benchmark at a glance: how it was made, what it holds, and its first scenes as one picture."""
+"""What a benchmark holds, how it was made, and its first scenes as one picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TILE_WIDTH_PX = 320
 
 
 def describe(dataset: Path) -> Iterator[str]:
-    """Yield one line a fact.
+    """Yield one line per fact.
 
     Raises:
         ToolkitError: the folder is no dataset, or a capture cannot be read.
@@ -49,7 +49,7 @@ def describe(dataset: Path) -> Iterator[str]:
 
 
 def contact_sheet(dataset: Path) -> Path:
-    """Write DATASET/overview.png: goal, first and middle current frame of the first scenes, one scene a row.
+    """Write DATASET/overview.png: goal, first and middle current frame of the first scenes, one scene per row.
 
     Raises:
         ToolkitError: the folder is no dataset or cannot be written.

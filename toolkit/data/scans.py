@@ -18,9 +18,11 @@ Symmetry = Literal["none", "discrete_z_180", "continuous_z"]
 class ScanNotes(BaseModel, frozen=True):
     """What `objects.json` may say of one object; other keys are ignored, since boxes are measured on the mesh."""
 
-    category: str = Field("scan", description="the kind of thing it is")
-    mass_kg: float | None = Field(None, gt=0, description="mass; estimated from the hulls' volume where absent")
-    symmetry: Symmetry = Field("none", description="symmetry of shape and texture about the vertical axis")
+    category: str = Field("scan", description="The kind of thing that the object is.")
+    mass_kg: float | None = Field(
+        None, gt=0, description="Mass in kg; estimated from the volume of the hulls where it is absent."
+    )
+    symmetry: Symmetry = Field("none", description="Symmetry of shape and texture about the vertical axis.")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ _TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def find_scans(folder: Path) -> list[Scan]:
-    """List the objects of a folder of scans, one sub-folder an object, sorted by name.
+    """List the objects of a folder of scans, one sub-folder per object, sorted by name.
 
     Layouts: YCB (Calli et al., ICAR 2015) and Google Scanned Objects (Downs et al., ICRA 2022). `objects.json` beside
     the sub-folders is optional: object name -> `ScanNotes`.

@@ -15,6 +15,7 @@ from toolkit.parallel import Workers, open_workers
 from toolkit.paths import cache_root
 from toolkit.progress import Advance, Progress
 from toolkit.registry import validated
+from toolkit.sim.bullet import require_pybullet
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,28 @@ def resolve_settings(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
             raise ToolkitError(f"dataset: '{unknown[0]}' cannot be set for captures that exist already (path is given)")
         return dict(settings)
     return validated(TabletopConfig, {"seed": seed, **settings}, "dataset").model_dump(mode="json")
+
+
+def count_scenes(settings: Mapping[str, Any]) -> int:
+    """How many scenes a dataset has, whether they are there already or not.
+
+    Args:
+        settings: what `resolve_settings` returned.
+
+    Raises:
+        ToolkitError: the folder is no dataset, or holds fewer captures than the settings ask for.
+    """
+    return len(_existing(settings, _every).captures) if "path" in settings else settings["scenes"]
+
+
+def require_source(settings: Mapping[str, Any]) -> None:
+    """Make sure, before any work starts, that captures can be had; the settings are those of `open_dataset`.
+
+    Raises:
+        ToolkitError: scenes are to be simulated, and there is no PyBullet here.
+    """
+    if "path" not in settings:
+        require_pybullet()
 
 
 def _every(_: int) -> bool:

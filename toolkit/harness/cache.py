@@ -1,4 +1,4 @@
-"""Content-addressed stage outputs (DESIGN 10): a key is the digest of all that the output depends on.
+"""Content-addressed stage outputs: a key is the digest of all that the output depends on.
 
 Entries are NumPy archives without pickle, written to a temporary name and renamed, so that a reader never meets half
 an entry and two workers may write the same one.

@@ -13,7 +13,7 @@ TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
 LOSSES = 3
-"""A task is started so many times more when its worker is lost; then it is what the workers die of."""
+"""How often a task is started again when its worker is lost; after that, the task itself kills the workers."""
 
 _one_at_a_time = threading.Lock()
 
@@ -33,7 +33,7 @@ def call(prepare: Callable[[], None], function: Callable[[TaskT], ResultT], task
 
 
 def optional(module: str, backend: str) -> Any:
-    """Import what an extra brings.
+    """Import a module that an optional extra installs.
 
     Raises:
         ToolkitError: the extra is not installed.

@@ -1,6 +1,6 @@
 """Workers of a dask cluster.
 
-Not through joblib's dask backend: that one waits for ever for a task whose workers keep dying (joblib 1.6).
+Not through joblib's dask backend: it waits for ever for a task whose workers keep dying (joblib 1.6).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _local_cluster(distributed: Any, count: int) -> Any:
 
 @dataclass(frozen=True)
 class DaskWorkers:
-    """Workers that answer to a scheduler, which hands a lost worker's tasks to others."""
+    """Workers of a scheduler, which gives the tasks of a lost worker to others."""
 
     client: Any
     where: str

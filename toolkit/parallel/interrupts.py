@@ -1,4 +1,4 @@
-"""Ctrl-C is the main process's to answer."""
+"""Only the main process answers Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def without_interrupts() -> Generator[None]:
-    """Ignore Ctrl-C meanwhile; processes started here inherit that for good."""
+    """Ignore Ctrl-C inside the block; processes that are started in it ignore Ctrl-C for as long as they live."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,6 +1,6 @@
 """Workers of a ray cluster.
 
-Not through joblib's ray backend: that one hands over nothing before everything is done (ray 2.60), and rows are to be
+Not through joblib's ray backend: it hands over nothing before everything is done (ray 2.60), and rows shall be
 kept as they come.
 """
 
@@ -56,7 +56,7 @@ def ray_workers(count: int, address: str | None, prepare: Callable[[], None]) ->
 
 
 def _require_answer(address: str) -> None:
-    """Knock at the door first: ray itself waits for minutes where nobody is at home."""
+    """Ask the address first, since ray itself waits for minutes where nothing answers."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
         raise ToolkitError(f"a ray cluster's address is HOST:PORT or ray://HOST:PORT, got '{address}'")
@@ -68,7 +68,7 @@ def _require_answer(address: str) -> None:
 
 @dataclass(frozen=True)
 class RayWorkers:
-    """Processes that ray starts where it has free cores; it does a lost one's tasks again in others."""
+    """Processes that ray starts where it has free cores; the tasks of a lost process are done again in others."""
 
     ray: Any
     prepare: Callable[[], None]

@@ -30,7 +30,7 @@ class Workers(Protocol):
 
 
 class Here:
-    """No workers: the work is done in this process."""
+    """Stands in for workers: the work is done in this process."""
 
     def map(self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]) -> Iterator[ResultT]:
         """As `Workers.map`, in the order of the tasks."""
@@ -51,11 +51,11 @@ def open_workers(
         count: processes on this machine; a cluster at an address has its own.
         backend: one of BACKENDS. `loky` starts processes here; `dask` and `ray` start a cluster here, or use one.
         address: where a cluster answers.
-        prepare: called in a worker before every task; does its work once a process. It travels there.
-        say: told what a user should know, such as that a worker was lost.
+        prepare: called in a worker before every task; it is sent there, and does its work once per process.
+        say: called with what a user should know, such as that a worker was lost.
 
     Raises:
-        ToolkitError: no such backend, its extra is not installed, or nobody answers at the address.
+        ToolkitError: no such backend, its extra is not installed, or nothing answers at the address.
     """
     if backend not in BACKENDS:
         raise ToolkitError(f"unknown backend '{backend}'{suggest(backend, list(BACKENDS))}")

@@ -15,13 +15,13 @@ from toolkit.perception.regions import true_owner
 from toolkit.types import Float, Frame, Mask, Segment
 
 _BEST_VIEWS = 3
-"""An instance is as similar as its three most similar regions: one alone may be a chance, all would count its back."""
+"""An instance is as similar as its three most similar regions: one may be similar by chance, all include the back."""
 
 _CONTENDER = 0.15
 """Instances less similar than the best by more than this are not looked at more closely."""
 
 _UNSEEN = 1.0
-"""Verification score of a pair that nothing contends with: what right pairs have about."""
+"""Verification score of a pair that is not verified because it has no rival: about the score of right pairs."""
 
 
 def instance_similarity(similarity: Float, instances: NDArray[np.int64]) -> Float:

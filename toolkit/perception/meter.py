@@ -11,7 +11,7 @@ from time import perf_counter
 class Meter:
     """Adds up milliseconds by stage, and remembers whether a cache served any of them.
 
-    A cached output counts with the time its computation once took, so that cells which share work stay comparable.
+    A cached output counts with the time that its computation once took, so that cells which share work stay comparable.
     """
 
     def __init__(self) -> None:

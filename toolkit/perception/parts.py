@@ -26,19 +26,23 @@ class PipelineSettings(PluginConfig):
     """What the pipeline itself decides, besides its stages."""
 
     views: int | Literal["all"] = Field(
-        default="all", description="Current frames used, evenly spaced from the first; or all."
+        default="all", description="Number of current frames that are used, evenly spaced from the first one; or all."
     )
     fuse: Literal["all", "first"] = Field(
         default="all",
         description="Solve from all accepted candidates of the instance, or from the first accepted (the paper).",
     )
-    min_matches: int = Field(default=6, ge=3, description="Lifted matches a candidate needs to be accepted.")
+    min_matches: int = Field(
+        default=6, ge=3, description="Number of lifted matches that a candidate needs to be accepted."
+    )
     assignment: Literal["vote", "global", "truth"] = Field(
         default="vote",
         description="Goal objects choose their instance on their own (the paper), each instance is given once, or "
         "every object gets its true one (to measure what retrieval costs).",
     )
-    crop_margin: float = Field(default=0.05, ge=0, le=1, description="Free border of a crop, as a part of its box.")
+    crop_margin: float = Field(
+        default=0.05, ge=0, le=1, description="Free border of a crop, as a part of the longer side of its box."
+    )
 
 
 _DEFAULTS = PipelineSettings()

@@ -29,7 +29,7 @@ def overlay(goal: Frame, outlines: Sequence[tuple[str, Float, Color]]) -> Image:
 
     Args:
         goal: the goal image and its camera.
-        outlines: label, (N, 3) world points already moved to the goal, and colour, one an object.
+        outlines: label, (N, 3) world points already moved to the goal, and colour, one per object.
 
     Returns:
         (H, W, 3) uint8.
@@ -79,7 +79,7 @@ def correspondences(
         frame_of: (N,) frame index of every correspondence.
         frame_xy: (N, 2) pixels in its frame.
         inliers: (N,) bool; green lines, the others red.
-        max_lines: lines drawn a frame, evenly picked.
+        max_lines: lines drawn per frame, evenly picked.
 
     Returns:
         (H, W', 3) uint8.

@@ -22,7 +22,7 @@ POSES_SCHEMA = 1
 
 
 def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> Path:
-    """Write OUT/poses.json (DESIGN 6), the goal masks, and the pictures beside it. Returns the path of poses.json."""
+    """Write OUT/poses.json, the goal masks, and the pictures beside it. Returns the path of poses.json."""
     masks = out / "masks"
     masks.mkdir(parents=True, exist_ok=True)
     objects: list[dict[str, Any]] = []

@@ -98,7 +98,7 @@ def record_scene(
         name: what the viewer calls the recording.
         capture: with the goal camera's pose as the estimates mean it.
         database: the current scene's; its frames are recorded.
-        estimates: one a goal object.
+        estimates: one per goal object.
 
     Raises:
         ToolkitError: rerun is not installed, or the file cannot be written.

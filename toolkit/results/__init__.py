@@ -1,1 +1,1 @@
-"""What a run leaves: rows, errors, intervals, tests, tables and reports."""
+"""What a run writes: rows, errors, intervals, tests, tables and reports."""

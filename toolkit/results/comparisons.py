@@ -1,4 +1,4 @@
-"""Cells against each other on the same scenes, object by object: the difference, and how sure it is."""
+"""Compares cells on the same scenes, object by object: the difference, and how sure it is."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ALL_TRUE = "all of these true"
 
 _ALPHA = 0.05
 _MANY_SCENES = 100_000
-"""More scenes than this nobody runs."""
+"""Nobody runs more scenes than this."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """What may be said, in words."""
+        """What the comparison shows, in words."""
         seen = self.success
         if self.shown:
             return f"{abs(100 * seen.mean):.1f} points {'worse' if seen.mean < 0 else 'better'}"
@@ -133,7 +133,7 @@ def compare_cells(rows: Sequence[Row]) -> list[Comparison]:
 
 
 def print_comparisons(comparisons: Sequence[Comparison], console: Console) -> None:
-    """Print one line a comparison; nothing without any. A narrow console does without the scenes done."""
+    """Print one line per comparison; nothing where there is none. A narrow console leaves out the scenes done."""
     if not comparisons:
         return
     wide = console.width >= 110
@@ -196,7 +196,7 @@ def _shared(a: Outcomes, b: Outcomes) -> tuple[list[bool], list[bool], list[int]
 
 
 def _by_scene(a: Sequence[bool], b: Sequence[bool], scenes: Sequence[int]) -> tuple[list[bool], list[bool], list[int]]:
-    """The same with one outcome a scene: every object is right."""
+    """The same with one outcome per scene: every object is right."""
     names = sorted(set(scenes))
     done = [[all(x for x, s in zip(cell, scenes, strict=True) if s == name) for name in names] for cell in (a, b)]
     return done[0], done[1], names

@@ -1,4 +1,4 @@
-"""Pose errors, plain and symmetry-aware, and which segment answers for which object (DESIGN 8)."""
+"""Pose errors, plain and symmetry-aware, and which segment answers for which object."""
 
 from __future__ import annotations
 
@@ -63,8 +63,9 @@ def counterparts(
 ) -> dict[int, TrueObject | None]:
     """What every goal object is scored against.
 
-    Objects of one model are interchangeable: any of them may go to any of their goal places, but each to one only. Of
-    all such pairings the one under which most motions are right is taken; every other object stands for itself.
+    Objects of the same model are interchangeable: each may go to any of their goal places, as long as every place gets
+    one of them. Of all such pairings, the one under which most motions are right is taken; every other object is scored
+    against itself.
 
     Args:
         motions: (4, 4) estimated motions by instance id of the goal object; objects without one are left out.

@@ -1,4 +1,4 @@
-"""The paper's own figures (Tables I and II), to stand beside ours."""
+"""The paper's own figures (Tables I and II), which are shown beside ours."""
 
 from __future__ import annotations
 

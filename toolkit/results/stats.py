@@ -85,7 +85,7 @@ def paired_difference(
     """
     differences = np.array([x - y for x, y in zip(a, b, strict=True)], np.float64)
     if len(scenes) != len(differences) or not len(differences):
-        raise ValueError("paired_difference needs objects, and one scene an object")
+        raise ValueError("paired_difference needs objects, and one scene per object")
     _, groups = np.unique(np.asarray(scenes, np.int64), return_inverse=True)
     sums, counts = np.bincount(groups, differences), np.bincount(groups)
     n, mean = len(sums), float(differences.mean())

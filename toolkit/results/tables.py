@@ -40,7 +40,7 @@ class FigureTable:
     Attributes:
         title: what the figures are.
         columns: the first names the cell.
-        lines: one a cell, some with the paper's under them.
+        lines: one per cell, some with the paper's under them.
     """
 
     title: str
@@ -48,7 +48,7 @@ class FigureTable:
     lines: tuple[Line, ...]
 
     def print(self, console: Console) -> None:
-        """Print what the console is wide enough for."""
+        """Print the columns that the console is wide enough for."""
         table = Table(title=self.title, title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         shown = [i for i, column in enumerate(self.columns) if console.width >= column.least_width]
         for i in shown:
@@ -109,7 +109,7 @@ def motion_table(summaries: Sequence[CellSummary]) -> FigureTable:
 
 
 def completion_table(summaries: Sequence[CompletionSummary]) -> FigureTable:
-    """How often scenes were set right, with the paper's figures under the cells of its Table II; moves an object."""
+    """How often scenes were set right, with the paper's figures under the cells of its Table II; moves per object."""
     lines: list[Line] = []
     for s in summaries:
         cells = (

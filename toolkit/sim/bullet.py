@@ -1,15 +1,18 @@
-"""PyBullet without what its C code prints, and its EGL renderer where it loads."""
+"""PyBullet, imported when it is first used and without what its C code prints; its EGL renderer where it loads."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import importlib.util
 import os
 import subprocess
 import sys
 from collections.abc import Generator
 from typing import Any, Literal
+
+from toolkit.errors import ToolkitError
 
 Renderer = Literal["tiny", "egl"]
 
@@ -32,8 +35,40 @@ def silence() -> Generator[None]:
         os.close(null)
 
 
-with silence():
-    import pybullet as pybullet
+class _Deferred:
+    """A module that is imported when something of it is first asked for: not every machine can have PyBullet."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        value = getattr(_import(self._name), attribute)
+        setattr(self, attribute, value)
+        return value
+
+
+pybullet: Any = _Deferred("pybullet")
+pybullet_data: Any = _Deferred("pybullet_data")
+
+
+def require_pybullet() -> None:
+    """Make sure of PyBullet before any work starts.
+
+    Raises:
+        ToolkitError: it is not installed here.
+    """
+    _import("pybullet")
+
+
+def _import(name: str) -> Any:
+    try:
+        with silence():
+            return importlib.import_module(name)
+    except ImportError as error:
+        raise ToolkitError(
+            "simulating scenes needs PyBullet, which has wheels for CPython 3.11 on Linux (x86-64) only; "
+            "use such a machine, or build it here: pip install pybullet"
+        ) from error
 
 
 def load_egl(client: int) -> bool:

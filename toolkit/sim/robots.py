@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import pybullet_data
 import trimesh
 
 from toolkit.errors import ToolkitError
 from toolkit.paths import cache_root
+from toolkit.sim.bullet import pybullet_data
 from toolkit.types import Float
 from toolkit.weights.packages import fetch_folder_from_wheel
 
@@ -88,7 +88,7 @@ def _with_hulls(folder: Path, urdf: str) -> str:
 
 
 def panda_urdf() -> Path:
-    """Description of the Franka Panda with its hand, which PyBullet brings along."""
+    """Description of the Franka Panda with its hand, which PyBullet brings along; raises ToolkitError without it."""
     return Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
 
 

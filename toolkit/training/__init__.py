@@ -1,1 +1,1 @@
-"""Training of the networks the toolkit ships: what they see, what they are asked for, and the loop around it."""
+"""Training of the networks that the toolkit ships: their data, their losses, and the loop around them."""

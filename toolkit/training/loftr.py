@@ -203,7 +203,7 @@ class LoftrTask:
 
 
 def score_pairs(model: LoFTR, batches: list[LoftrBatch], pairs: list[Pair]) -> dict[str, float]:
-    """Share of matches within 3 px of the truth, matches a pair, and share of true cells that were found.
+    """Share of matches within 3 px of the truth, matches per pair, and share of true cells that were found.
 
     A match from where nothing is seen in the other crop counts as wrong.
     """

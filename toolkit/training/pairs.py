@@ -26,15 +26,19 @@ _VISIBLE_M = 0.004
 class PairsConfig(PluginConfig):
     """Settings of the pairs drawn from a pool."""
 
-    crop_size: int = Field(default=160, ge=32, multiple_of=8, description="Side of the crops, pixels.")
+    crop_size: int = Field(default=160, ge=32, multiple_of=8, description="Side of the crops, in pixels.")
     max_angle_deg: float = Field(
-        default=60.0, gt=0, le=180, description="Largest angle between the two viewing directions."
+        default=60.0, gt=0, le=180, description="Largest angle between the viewing directions of a pair, in degrees."
     )
-    roll_deg: float = Field(default=20.0, ge=0, le=180, description="In-plane rotation of each crop within +- this.")
-    occlusion: float = Field(default=0.25, ge=0, le=1, description="Share of crops a piece is bitten out of.")
-    loose_mask: float = Field(default=0.3, ge=0, le=1, description="Share of crops whose mask takes some table along.")
-    blur_px: float = Field(default=1.2, ge=0, description="Strongest blur, pixels of the frame.")
-    noise: float = Field(default=4.0, ge=0, description="Strongest noise, grey levels.")
+    roll_deg: float = Field(
+        default=20.0, ge=0, le=180, description="Largest in-plane rotation of a crop either way, in degrees."
+    )
+    occlusion: float = Field(default=0.25, ge=0, le=1, description="Share of crops of which a part is hidden.")
+    loose_mask: float = Field(
+        default=0.3, ge=0, le=1, description="Share of crops whose mask includes some of the table around the object."
+    )
+    blur_px: float = Field(default=1.2, ge=0, description="Strongest blur, in pixels of the frame.")
+    noise: float = Field(default=4.0, ge=0, description="Strongest noise, in grey levels.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ _STD = (0.229, 0.224, 0.225)
 """Colours as ImageNet's networks expect them."""
 
 _WINDOWS = (1, 2)
-"""Windows of attention a side, at 1/8 and at 1/4. Published are 2 and 8, for film; on crops of 160 pixels such windows
-see too little (five features a side), and flow ends up at the nearest multiple of 8 pixels.
+"""Windows of attention per side, at 1/8 and at 1/4. Published are 2 and 8, for films; on crops of 160 pixels such
+windows see too little (five features per side), and flow ends up at the nearest multiple of 8 pixels.
 """
 
 
@@ -97,7 +97,7 @@ class Transformer(nn.Module):
         self.layers = nn.ModuleList(Layer() for _ in range(6))
 
     def forward(self, a: Tensor, b: Tensor, windows: int) -> tuple[Tensor, Tensor]:
-        """(B, C, H, W) twice; attention stays within windows, that many a side, which every other layer shifts."""
+        """(B, C, H, W) twice; attention stays within `windows` windows per side, which every other layer shifts."""
         x = torch.cat([a, b]).permute(0, 2, 3, 1)
         height, width = x.shape[1:3]
         x = x + positions(height // windows, width // windows).to(x).repeat(windows, windows, 1)

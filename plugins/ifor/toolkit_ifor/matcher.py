@@ -14,36 +14,44 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Matcher
 from toolkit.types import Crop, Float, Image, Mask, Matches
 from toolkit.weights.resolve import file_digest, resolve_weights
 from toolkit_ifor.flows import GMFLOW, Flow, dis, gmflow
 
 _FEWEST_PIXELS = 100
-"""Objects of fewer pixels have no flow."""
+"""No flow is computed for objects with fewer pixels."""
 
 _SETTLED_PX = 0.5
-"""Once an alignment moves pixels by less, there is no more to minimise."""
+"""The iteration ends once an alignment moves pixels by less than this."""
 
 
 class IforConfig(PluginConfig):
     """Settings of `ifor`."""
 
     flow: Literal["dis", "gmflow"] = Field(
-        "dis", description="OpenCV's dense inverse search, or GMFlow, whose weights are fetched."
+        "dis", description="The optical flow: OpenCV's dense inverse search, or GMFlow, whose weights are fetched."
     )
-    file: Path | None = Field(None, description="A checkpoint of your own for `gmflow`.")
-    device: str = Field("cpu", description="Torch device of `gmflow`.")
+    file: Path | None = Field(None, description="Your own checkpoint for `gmflow`.")
+    device: str = Field("cpu", description="The torch device of `gmflow`.")
     precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="Of `gmflow`; bfloat16 is faster where the processor multiplies it."
+        "float32", description="Number format of `gmflow`; bfloat16 is faster where the processor can multiply it."
     )
-    crop_size: int = Field(160, ge=64, multiple_of=8, description="Side of the crops, pixels.")
+    crop_size: int = Field(160, ge=64, multiple_of=8, description="Side of the crops, in pixels.")
     starts: int = Field(
-        1, ge=1, description="In-plane turns that the iteration starts from, evenly spaced; 1: objects stay upright."
+        1,
+        ge=1,
+        description="Number of in-plane turns from which the iteration starts, evenly spaced; with 1, objects are "
+        "taken to stay upright.",
     )
-    iterations: int = Field(4, ge=1, description="Rounds of flow and alignment from every start.")
-    consistent_px: float = Field(1.5, gt=0, description="Flow there and back may miss a pixel by this.")
-    step_px: int = Field(3, ge=1, description="One correspondence every so many pixels, either way.")
-    min_correlation: float = Field(0.3, ge=-1, le=1, description="Aligned crops that agree less do not match.")
+    iterations: int = Field(4, ge=1, description="Number of rounds of flow and alignment from every start.")
+    consistent_px: float = Field(
+        1.5, gt=0, description="Largest distance, in pixels, by which the flow there and back may miss a pixel."
+    )
+    step_px: int = Field(3, ge=1, description="Distance between correspondences in both directions, in pixels.")
+    min_correlation: float = Field(
+        0.3, ge=-1, le=1, description="Crops whose correlation after alignment is lower than this do not match."
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +71,7 @@ class Alignment:
     correlation: float
 
 
-class Ifor(Plugin):
+class Ifor(Plugin[IforConfig], Matcher):
     """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time.
 
     From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS
@@ -74,13 +82,11 @@ class Ifor(Plugin):
 
     stage = "matcher"
     name = "ifor"
-    Config = IforConfig
     cards = (GMFLOW,)
-    config: IforConfig
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
+        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     def check_ready(self) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import KMeans
 
+from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
 
@@ -19,12 +20,18 @@ class KMeansConfig(PluginConfig):
     """Settings of `kmeans`."""
 
     k: Literal["data", "max_per_frame"] = Field(
-        "data", description="How K is found: see the class; max_per_frame is the least it can be."
+        "data",
+        description="How the number of clusters K is found: `max_per_frame` takes the largest number of regions in "
+        "one frame, and `data` raises it until no cluster holds two regions of one frame.",
     )
-    center: Literal["box", "mean"] = Field("box", description="Middle of the cloud's box in plan, or its mean (paper).")
+    center: Literal["box", "mean"] = Field(
+        "box",
+        description="The centre of a region: the middle of its cloud's box seen from above, or the mean of its "
+        "points as in the paper.",
+    )
 
 
-class KMeansAssociator(Plugin):
+class KMeansAssociator(Plugin[KMeansConfig], Associator):
     """K-means on region centres (Sec. Method A).
 
     The paper does not say how K is found. One frame never shows an object twice, so K is at least the largest number
@@ -37,8 +44,6 @@ class KMeansAssociator(Plugin):
 
     stage = "associator"
     name = "kmeans"
-    Config = KMeansConfig
-    config: KMeansConfig
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""

@@ -1,4 +1,4 @@
-"""Colour histogram of a region."""
+"""The colour histogram of a region."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Image, Mask
 
@@ -15,18 +16,24 @@ from toolkit.types import Crop, Float, Image, Mask
 class ColorHistogramConfig(PluginConfig):
     """Settings of `color_hist`."""
 
-    bins: int = Field(8, ge=2, le=32, description="Bins of each Lab channel.")
-    smooth: float = Field(0.7, ge=0, le=4, description="Blur of the histogram, in bins: colours near an edge share.")
+    bins: int = Field(8, ge=2, le=32, description="Number of bins of each Lab channel.")
+    smooth: float = Field(
+        0.7,
+        ge=0,
+        le=4,
+        description="Blur of the histogram, in bins, so that colours near the edge of a bin count in the next one too.",
+    )
 
 
-class ColorHistogram(Plugin):
+class ColorHistogram(Plugin[ColorHistogramConfig], Descriptor):
     """Joint Lab histogram over the mask, square-rooted (Hellinger kernel; Swain and Ballard, IJCV 1991)."""
 
     stage = "descriptor"
     name = "color_hist"
-    Config = ColorHistogramConfig
-    config: ColorHistogramConfig
-    crop_size = 96
+
+    @property
+    def crop_size(self) -> int:
+        return 96
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, bins^3) float32 unit rows."""

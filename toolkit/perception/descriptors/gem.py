@@ -12,6 +12,7 @@ from pydantic import Field
 from toolkit.models.efficientnet_lite import DEVIATION, MEAN, EfficientNetLite0, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import gem
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float
 from toolkit.weights.resolve import file_digest, resolve_weights
@@ -22,20 +23,25 @@ _BATCH = 32
 class GemConfig(PluginConfig):
     """Settings of `gem`."""
 
-    power: float = Field(3.0, ge=1, description="Of the generalised mean: 1 is the mean, large ones the maximum.")
-    backbone_file: Path | None = Field(None, description="EfficientNet-Lite0's weights, instead of the package's.")
+    power: float = Field(
+        3.0, ge=1, description="Power of the generalised mean: 1 gives the mean, and a large power the maximum."
+    )
+    backbone_file: Path | None = Field(
+        None, description="A file with weights of EfficientNet-Lite0, used instead of those of the weight card."
+    )
     device: str = Field("cpu", description="Torch device.")
 
 
-class Gem(Plugin):
+class Gem(Plugin[GemConfig], Descriptor):
     """EfficientNet-Lite0 (ImageNet) with generalised-mean pooling (Radenovic et al., TPAMI 2019)."""
 
     stage = "descriptor"
     name = "gem"
-    Config = GemConfig
     weights = ("efficientnet-lite0",)
-    config: GemConfig
-    crop_size = 160
+
+    @property
+    def crop_size(self) -> int:
+        return 160
 
     def check_ready(self) -> None:
         """Load the backbone, so that a missing or foreign file stops the command before any work."""

@@ -13,6 +13,7 @@ from pydantic import Field
 from toolkit.models.efficientnet_lite import DEVIATION, MEAN, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import IMAGENET_DEVIATION, IMAGENET_MEAN, MixVPRNet, mixvpr_lite, mixvpr_resnet50
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float
 from toolkit.weights.load import fill, read_tensors
@@ -26,21 +27,24 @@ class MixvprConfig(PluginConfig):
 
     backbone: Literal["efficientnet_lite0", "resnet50"] = Field(
         "efficientnet_lite0",
-        description="The light variant trained for object crops, whose mixer is shipped; or the official one.",
+        description="The backbone: the light one, with the mixer that is shipped and was trained on object crops, or "
+        "the official ResNet50.",
     )
-    file: Path | None = Field(None, description="Weights of your own: of the mixer, or a whole official checkpoint.")
-    backbone_file: Path | None = Field(None, description="EfficientNet-Lite0's weights, instead of the package's.")
+    file: Path | None = Field(
+        None, description="A file with your own weights: those of the mixer, or a whole official checkpoint."
+    )
+    backbone_file: Path | None = Field(
+        None, description="A file with weights of EfficientNet-Lite0, used instead of those of the weight card."
+    )
     device: str = Field("cpu", description="Torch device.")
 
 
-class Mixvpr(Plugin):
+class Mixvpr(Plugin[MixvprConfig], Descriptor):
     """MixVPR (Ali-bey et al., WACV 2023) over EfficientNet-Lite0 or ResNet50."""
 
     stage = "descriptor"
     name = "mixvpr"
-    Config = MixvprConfig
     weights = ("mixvpr-tabletop", "efficientnet-lite0", "mixvpr-resnet50")
-    config: MixvprConfig
 
     @property
     def crop_size(self) -> int:

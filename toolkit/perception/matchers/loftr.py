@@ -39,13 +39,14 @@ class LoftrConfig(TurningConfig):
     """Settings of `loftr`."""
 
     weights: Literal["tabletop", "outdoor", "indoor_new"] = Field(
-        "tabletop", description="The small LoFTR that this package carries, or an official checkpoint."
+        "tabletop", description="The weights: the small LoFTR that comes with this package, or an official checkpoint."
     )
-    file: Path | None = Field(None, description="A checkpoint of your own, of the same architecture as `weights`.")
-    crop_size: int = Field(320, ge=32, multiple_of=8, description="Side of the crops, pixels.")
+    file: Path | None = Field(None, description="Your own checkpoint, of the same architecture as `weights`.")
+    crop_size: int = Field(320, ge=32, multiple_of=8, description="Side of the crops, in pixels.")
     threshold: float = Field(0.2, ge=0, le=1, description="Least dual-softmax confidence of a match.")
     precision: Literal["float32", "bfloat16"] = Field(
-        default_factory=best_precision, description="Of convolutions and attention; bfloat16 where it is faster."
+        default_factory=best_precision,
+        description="Number format of convolutions and attention; the default is bfloat16 where that is faster.",
     )
     device: str = Field("cpu", description="Torch device.")
 
@@ -58,18 +59,15 @@ class LoftrFeatures:
     mask: Mask
 
 
-class LoftrMatcher(TurningMatcher):
+class LoftrMatcher(TurningMatcher[LoftrConfig]):
     """LoFTR (Sun et al., CVPR 2021), kornia's implementation, the paper's matcher."""
 
     stage = "matcher"
     name = "loftr"
-    Config = LoftrConfig
     weights = ("loftr-tabletop", "loftr-outdoor", "loftr-indoor_new")
-    config: LoftrConfig
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
         return self.config.crop_size
 
     def check_ready(self) -> None:

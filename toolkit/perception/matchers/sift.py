@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.stages import Matcher
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Matches
 
@@ -16,12 +17,19 @@ from toolkit.types import Crop, Float, Matches
 class SiftConfig(PluginConfig):
     """Settings of `sift`."""
 
-    crop_size: int = Field(320, ge=32, description="Side of the crops, pixels.")
-    ratio: float = Field(0.9, gt=0, le=1, description="Nearest over second-nearest distance, at most.")
-    max_features: int = Field(1000, ge=8, description="Keypoints kept a crop, strongest first.")
-    contrast: float = Field(0.004, ge=0, description="SIFT's contrast threshold; low, since objects are small.")
+    crop_size: int = Field(320, ge=32, description="Side of the crops, in pixels.")
+    ratio: float = Field(
+        0.9, gt=0, le=1, description="Largest ratio of the distances to the nearest and the second-nearest keypoint."
+    )
+    max_features: int = Field(1000, ge=8, description="Number of keypoints kept per crop, the strongest first.")
+    contrast: float = Field(
+        0.004, ge=0, description="SIFT's contrast threshold, which is low because objects are small."
+    )
     border_px: int = Field(
-        2, ge=0, description="Keypoints nearer to the silhouette are dropped: it moves with the view."
+        2,
+        ge=0,
+        description="Keypoints nearer to the silhouette than this are dropped, since the silhouette moves with the "
+        "view.",
     )
 
 
@@ -33,17 +41,14 @@ class SiftFeatures:
     descriptors: Float
 
 
-class SiftMatcher(Plugin):
+class SiftMatcher(Plugin[SiftConfig], Matcher):
     """SIFT (Lowe, IJCV 2004) with RootSIFT (Arandjelovic and Zisserman, CVPR 2012), mutual and ratio tests."""
 
     stage = "matcher"
     name = "sift"
-    Config = SiftConfig
-    config: SiftConfig
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
         return self.config.crop_size
 
     def extract(self, crops: Sequence[Crop]) -> list[SiftFeatures]:

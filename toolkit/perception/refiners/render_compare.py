@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
 from toolkit.perception.fusion import Models, RefineTask, Start
 from toolkit.perception.lighting import estimate_light
@@ -17,6 +19,7 @@ from toolkit.perception.refiners.comparing.compare import FREE, PLANAR, Search, 
 from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
 from toolkit.perception.refiners.comparing.rotations import resting_rotations, yaw_rotations
 from toolkit.perception.refiners.comparing.verdict import Verdict, judge
+from toolkit.perception.stages import Refiner
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Abstention, Failure, Float, Refined
 
@@ -26,26 +29,36 @@ class RefinerConfig(PluginConfig):
 
     prior: Literal["planar", "resting", "none"] = Field(
         "planar",
-        description="Objects turn about the vertical and slide on the table, rest on it on any side, or move freely.",
+        description="`planar`: objects turn about the vertical and slide on the table; `resting`: they may rest on "
+        "any side; `none`: they move freely.",
     )
-    patches: int = Field(2, ge=1, le=8, description="Views a hypothesis is compared with, nearest first.")
-    iterations: int = Field(8, ge=0, description="Gauss-Newton steps a level; 0 leaves hypotheses as they are found.")
-    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers of less confidence are withheld.")
-    min_pixels: int = Field(30, ge=1, description="An object of which the goal shows fewer pixels is not judged.")
-    same_score: float = Field(0.03, ge=0, description="Hypotheses this close to the best look the same.")
+    patches: int = Field(
+        2, ge=1, le=8, description="Number of views with which a hypothesis is compared, the nearest first."
+    )
+    iterations: int = Field(
+        8, ge=0, description="Gauss-Newton steps per level; with 0, hypotheses stay as they are found."
+    )
+    abstain_below: float = Field(0.05, ge=0, le=1, description="Answers with less confidence than this are withheld.")
+    min_pixels: int = Field(
+        30, ge=1, description="An object of which the goal image shows fewer pixels than this is not judged."
+    )
+    same_score: float = Field(
+        0.03, ge=0, description="Hypotheses whose score is this close to the best one count as equally good."
+    )
 
 
 class RenderCompareConfig(RefinerConfig):
     """Settings of `render_compare`."""
 
-    yaws: int = Field(72, ge=4, description="Turns about the vertical that are tried.")
+    yaws: int = Field(72, ge=4, description="Number of turns about the vertical that are tried.")
     rests: int = Field(
         26,
         ge=1,
-        description="Sides put up without the planar prior, stable ones first, in a third of the yaws each.",
+        description="Without the planar prior: number of sides that are put up, stable ones first, each in a third "
+        "of the yaws.",
     )
-    kept: int = Field(10, ge=2, description="Best hypotheses that are refined, starts included.")
-    use_starts: bool = Field(True, description="Let the motion found by PnP compete.")
+    kept: int = Field(10, ge=2, description="Number of best hypotheses that are refined, starts included.")
+    use_starts: bool = Field(True, description="Whether the motion that PnP found competes with the hypotheses.")
 
 
 @dataclass
@@ -56,26 +69,28 @@ class _Scene:
     clouds: dict[int, tuple[Cloud, Search]] = field(default_factory=dict[int, tuple[Cloud, Search]])
 
 
-class ImageRefiner(Plugin):
+RefinerConfigT = TypeVar("RefinerConfigT", bound=RefinerConfig, default=RefinerConfig, covariant=True)
+
+
+class ImageRefiner(Plugin[RefinerConfigT], Refiner):
     """Base of the refiners: fused model against goal image. A subclass says which hypotheses there are."""
 
     stage = "refiner"
-    config: RefinerConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: RefinerConfigT | None = None) -> None:
         super().__init__(config)
         self._scenes: WeakKeyDictionary[Models, _Scene] = WeakKeyDictionary()
 
+    @abstractmethod
     def search(self, cloud: Cloud) -> Search:
         """How hypotheses for an object are made."""
-        raise NotImplementedError
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
         """Motions of other routes that compete."""
         return task.starts
 
     def refine(self, task: RefineTask) -> Refined | Failure:
-        """Return the hypothesis that agrees best with the goal image; see Refiner."""
+        """Return the hypothesis that agrees best with the goal image, or why none is believed."""
         seen = int(task.segment.mask.sum())
         if seen < self.config.min_pixels:
             return Abstention(
@@ -94,7 +109,6 @@ class ImageRefiner(Plugin):
         return self._answer(judge(found, cloud.model, starts, self.config.same_score), cloud.center, search.free)
 
     def verify(self, task: RefineTask) -> float | None:
-        """See Refiner."""
         prepared = self._prepared(task)
         if isinstance(prepared, Failure):
             return None
@@ -102,7 +116,7 @@ class ImageRefiner(Plugin):
         return best_agreement(cloud, view_goal(task.goal, task.segment, task.others), search)
 
     def _prepared(self, task: RefineTask) -> tuple[Cloud, Search] | Failure:
-        """The instance's cloud and the hypotheses for it, made once a scene."""
+        """The instance's cloud and the hypotheses for it, made once per scene."""
         model = task.models.get(task.instance)
         if isinstance(model, Failure):
             return model
@@ -134,15 +148,12 @@ def _covariance(information: Float, free: Float) -> Float:
     return covariance
 
 
-class RenderCompare(ImageRefiner):
+class RenderCompare(ImageRefiner[RenderCompareConfig]):
     """Renders the fused model in every yaw (or rotation), refines the best, and verifies them with PnP's answer."""
 
     name = "render_compare"
-    Config = RenderCompareConfig
-    config: RenderCompareConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def search(self, cloud: Cloud) -> Search:
-        """See ImageRefiner."""
         c = self.config
         if c.prior == "planar":
             return Search(yaw_rotations(c.yaws), PLANAR, False, c.kept, c.patches, c.iterations)
@@ -150,5 +161,4 @@ class RenderCompare(ImageRefiner):
         return Search(rotations, FREE, c.prior == "resting", c.kept, c.patches, c.iterations)
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
-        """See ImageRefiner."""
         return task.starts[: self.config.kept - 1] if self.config.use_starts else ()

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from toolkit.perception.retrieval.candidates.distance import geodesic_distance, paper_distance
 from toolkit.perception.retrieval.candidates.traversal import PrunedTraversal
+from toolkit.perception.stages import Retriever
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float
 
@@ -19,18 +20,27 @@ from toolkit.types import Float
 class InstanceVoteConfig(PluginConfig):
     """Settings of `instance_vote`."""
 
-    top_k: int = Field(5, ge=1, description="Top-ranked regions that vote for their instance.")
+    top_k: int = Field(5, ge=1, description="Number of top-ranked regions that vote for their instance.")
     max_instances: int = Field(
-        2, ge=1, description="Most-voted instances whose regions become candidates; the paper takes 1."
+        2,
+        ge=1,
+        description="Number of instances with the most votes whose regions become candidates; the paper takes 1.",
     )
-    max_candidates: int = Field(64, ge=1, description="Candidates tried at most.")
-    distance: Literal["geodesic", "paper"] = Field("geodesic", description="Angle between observation vectors.")
+    max_candidates: int = Field(64, ge=1, description="Largest number of candidates that are tried.")
+    distance: Literal["geodesic", "paper"] = Field(
+        "geodesic",
+        description="How the angle between observation vectors is computed: as printed in the paper, or as the true "
+        "angle.",
+    )
     prune_deg: float = Field(
-        20.0, ge=0, le=180, description="Candidates closer to a rejected one are deleted; 0: none."
+        20.0,
+        ge=0,
+        le=180,
+        description="Candidates whose view is closer than this to a rejected one's are deleted; 0 deletes none.",
     )
 
 
-class InstanceVote(Plugin):
+class InstanceVote(Plugin[InstanceVoteConfig], Retriever):
     """Instance voting and angular pruning (Sec. Method A, retrieval phase).
 
     All regions of the winning instance are candidates, in the order of their similarity. A tie goes to the instance
@@ -39,8 +49,6 @@ class InstanceVote(Plugin):
 
     stage = "retriever"
     name = "instance_vote"
-    Config = InstanceVoteConfig
-    config: InstanceVoteConfig
 
     def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> PrunedTraversal:
         """Vote and return the traversal of the winners' regions."""

@@ -11,27 +11,28 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.perception.segmenters.networks.pretrained import import_transformers, load_pretrained
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Mask, Segment
 from toolkit.weights.resolve import file_digest, resolve_folder
 
 _LEAST_LEFT = 0.5
-"""A mask that better ones leave less of than this part is the same object again, or a group of objects."""
+"""A mask of which better masks leave less than this share shows the same object again, or a group of objects."""
 
 
 class GroundedSamConfig(PluginConfig):
     """Settings of the `grounded_sam` segmenter."""
 
-    prompt: str = Field("objects", min_length=1, description="What to find; several things are parted by full stops.")
+    prompt: str = Field("objects", min_length=1, description="What to find; full stops separate several things.")
     box_threshold: float = Field(0.25, ge=0, le=1, description="Least score of a box.")
-    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word a box stands for.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
-    detector: Path | None = Field(None, description="Folder of a Grounding DINO of your own, as transformers saves it.")
-    sam: Path | None = Field(None, description="Folder of a SAM of your own, as transformers saves it.")
+    text_threshold: float = Field(0.25, ge=0, le=1, description="Least score of the word that a box stands for.")
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
+    detector: Path | None = Field(None, description="Folder with your own Grounding DINO, as transformers saves it.")
+    sam: Path | None = Field(None, description="Folder with your own SAM, as transformers saves it.")
     device: str = Field("cpu", description="Torch device.")
 
 
-class GroundedSamSegmenter(Plugin):
+class GroundedSamSegmenter(Plugin[GroundedSamConfig], Segmenter):
     """Grounding DINO (Liu et al., ECCV 2024) and SAM (Kirillov et al., ICCV 2023), the paper's segmenter.
 
     Both are transformers' (`pip install rearrange-toolkit[grounded-sam]`). Depth is not used. Where masks overlap, the
@@ -40,9 +41,7 @@ class GroundedSamSegmenter(Plugin):
 
     stage = "segmenter"
     name = "grounded_sam"
-    Config = GroundedSamConfig
     weights = ("grounding-dino-tiny", "sam-vit-base")
-    config: GroundedSamConfig
 
     def check_ready(self) -> None:
         """Load both networks, so that a missing package or checkpoint stops the command before any work."""
@@ -97,7 +96,7 @@ class GroundedSamSegmenter(Plugin):
 
 
 def disjoint(masks: Mask, scores: np.ndarray, min_pixels: int) -> list[Segment]:
-    """Part masks that overlap: the better ones keep what they have, and what is left of a mask is its segment.
+    """Make masks that overlap disjoint: better ones keep what they have, and what is left of a mask is its segment.
 
     Args:
         masks: (N, H, W) bool.

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from kornia.feature import LightGlue
 from pydantic import Field
 from torch import Tensor
+from typing_extensions import TypeVar
 
 from toolkit.perception.matchers.shared.quarter_turns import TurningConfig, TurningMatcher
 from toolkit.types import Crop, Float, Mask, Matches
@@ -24,11 +25,11 @@ from toolkit.weights.resolve import file_digest, resolve_weights
 class LightGlueConfig(TurningConfig):
     """Settings of the matchers with LightGlue."""
 
-    crop_size: int = Field(320, ge=32, multiple_of=32, description="Side of the crops, pixels.")
-    max_features: int = Field(1024, ge=8, description="Keypoints kept a crop, strongest first.")
+    crop_size: int = Field(320, ge=32, multiple_of=32, description="Side of the crops, in pixels.")
+    max_features: int = Field(1024, ge=8, description="Number of keypoints kept per crop, the strongest first.")
     threshold: float = Field(0.1, ge=0, le=1, description="Least confidence of a match.")
-    extractor_file: Path | None = Field(None, description="A checkpoint of your own for the keypoints.")
-    glue_file: Path | None = Field(None, description="A checkpoint of your own for LightGlue.")
+    extractor_file: Path | None = Field(None, description="Your own checkpoint for the keypoints.")
+    glue_file: Path | None = Field(None, description="Your own checkpoint for LightGlue.")
     device: str = Field("cpu", description="Torch device.")
 
 
@@ -41,19 +42,21 @@ class Keypoints:
     size: int
 
 
-class LightGlueMatcher(TurningMatcher):
+LightGlueConfigT = TypeVar("LightGlueConfigT", bound=LightGlueConfig, default=LightGlueConfig, covariant=True)
+
+
+class LightGlueMatcher(TurningMatcher[LightGlueConfigT]):
     """Shared by the adapters below: which checkpoints, which extractor, which LightGlue."""
 
     stage = "matcher"
-    Config = LightGlueConfig
-    config: LightGlueConfig
-    glue: dict[str, Any]
-    derived: tuple[str, ...] = ()
+    glue: ClassVar[dict[str, Any]]
+    """What kornia's LightGlue is made with."""
+
+    derived: ClassVar[tuple[str, ...]] = ()
     """Buffers that the extractor makes itself and no checkpoint holds."""
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
         return self.config.crop_size
 
     @abstractmethod

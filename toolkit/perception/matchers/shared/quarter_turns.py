@@ -1,4 +1,4 @@
-"""Quarter turns of the query, for matchers that stand little in-plane rotation."""
+"""Quarter turns of the query, for matchers that tolerate little in-plane rotation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
+from toolkit.perception.stages import Matcher
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Matches
 
@@ -17,7 +19,9 @@ from toolkit.types import Crop, Float, Matches
 class TurningConfig(PluginConfig):
     """Settings that every matcher with turns has."""
 
-    rotations: Literal[1, 4] = Field(1, description="Turns of the goal crop tried, a quarter each; the best is kept.")
+    rotations: Literal[1, 4] = Field(
+        1, description="Number of quarter turns of the goal crop that are tried; the one that matches best is kept."
+    )
 
 
 @dataclass(eq=False)
@@ -29,7 +33,10 @@ class Oriented:
     turned: list[Any] = field(default_factory=list[Any])
 
 
-class TurningMatcher(Plugin):
+TurningConfigT = TypeVar("TurningConfigT", bound=TurningConfig, default=TurningConfig, covariant=True)
+
+
+class TurningMatcher(Plugin[TurningConfigT], Matcher):
     """A Matcher over `extract_upright` and `match_upright` that tries `config.rotations` turns of the query."""
 
     @abstractmethod
@@ -45,8 +52,7 @@ class TurningMatcher(Plugin):
         return [Oriented(*pair) for pair in zip(crops, self.extract_upright(crops), strict=True)]
 
     def match(self, query: Oriented, references: Sequence[Oriented]) -> list[Matches]:
-        """Match every turn of the query to all references; of each reference, the turn with most score is kept."""
-        assert isinstance(self.config, TurningConfig)
+        """Match every turn of the query to all references; for each, the turn with most score is kept."""
         if not query.turned and self.config.rotations > 1:
             query.turned += self.extract_upright([turn(query.crop, k) for k in range(1, self.config.rotations)])
         upright = [reference.upright for reference in references]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
 from toolkit.geometry import project
+from toolkit.perception.stages import PnP
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Correspondences, Failure, Float, Mask, PnPSolution
 
@@ -19,22 +23,25 @@ _COLLINEAR = 1e-3
 class PnPConfig(PluginConfig):
     """Settings every solver understands."""
 
-    reprojection_px: float = Field(1.2, gt=0, le=100, description="largest reprojection error of an inlier, pixels")
-    iterations: int = Field(10000, ge=1, le=1_000_000, description="largest number of minimal samples")
-    min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="fewest inliers of an accepted pose")
-    confidence: float = Field(0.9999, gt=0, lt=1, description="wanted probability of an outlier-free sample")
+    reprojection_px: float = Field(1.2, gt=0, le=100, description="Largest reprojection error of an inlier, in pixels.")
+    iterations: int = Field(10000, ge=1, le=1_000_000, description="Largest number of minimal samples.")
+    min_inliers: int = Field(8, ge=_MIN_CORRESPONDENCES, description="Smallest number of inliers of an accepted pose.")
+    confidence: float = Field(
+        0.9999, gt=0, lt=1, description="Probability with which at least one sample shall be free of outliers."
+    )
 
 
-class RobustPnP(Plugin):
+PnPConfigT = TypeVar("PnPConfigT", bound=PnPConfig, default=PnPConfig, covariant=True)
+
+
+class RobustPnP(Plugin[PnPConfigT], PnP):
     """Base of the solvers: a subclass gives the pose, this class says whether it can be believed."""
 
     stage = "pnp"
-    Config = PnPConfig
-    config: PnPConfig
 
+    @abstractmethod
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
         """Return a (4, 4) T_camera_world that may be wrong or not finite, or None when none was found."""
-        raise NotImplementedError
 
     def covariance(self, problem: Correspondences, T_camera_world: Float) -> Float | None:
         """Return the (6, 6) covariance of a pose (`PnPSolution`), where the solver knows it."""

@@ -41,7 +41,7 @@ class Search:
         rests: whether the lowest point stays on the table.
         kept: hypotheses that are refined, starts included.
         patches: views every hypothesis is compared with.
-        iterations: Gauss-Newton steps a level.
+        iterations: Gauss-Newton steps per level.
     """
 
     rotations: Float

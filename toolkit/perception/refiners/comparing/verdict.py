@@ -14,7 +14,7 @@ from toolkit.perception.refiners.comparing.likeness import unlikeness
 from toolkit.types import Ambiguity
 
 _SAME_OBJECT = 0.05
-"""Motions after which less of the surface than this has changed are one to everybody."""
+"""Motions after which less than this share of the surface has changed count as the same motion."""
 
 
 @dataclass(frozen=True, eq=False)

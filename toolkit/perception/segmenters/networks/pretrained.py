@@ -1,4 +1,4 @@
-"""Networks of the optional package transformers, out of folders; nothing is downloaded, nothing but tensors is read."""
+"""Networks of the optional package transformers, read from folders; nothing is downloaded, only tensors are read."""
 
 from __future__ import annotations
 
