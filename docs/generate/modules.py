@@ -33,7 +33,9 @@ MODULES: dict[str, tuple[str, ...]] = {
         *(f"results.{name}" for name in ("rows", "scoring", "metrics", "stats", "comparisons", "completion")),
         "pictures.poses",
     ),
-    "Data": ("data.bop", "data.dataset", "data.tabletop", "data.objects"),
+    "Data": tuple(
+        f"data.{name}" for name in ("bop", "dataset", "tabletop", "scene", "conditions", "sensors", "objects")
+    ),
     "Training": ("training.config", "training.run", "training.pairs"),
 }
 """Heading -> modules of `toolkit`."""

@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.progress import track
 
 from toolkit.data.bop import load_capture
+from toolkit.data.cameras import jitter
 from toolkit.data.dataset import read_dataset
-from toolkit.data.tabletop import jitter
 from toolkit.geometry import invert, transform_points
 from toolkit.stages import REGISTRATIONS
 from toolkit.types import Frame

@@ -8,11 +8,13 @@ import pytest
 
 from toolkit.data import noise
 from toolkit.data.bop import load_capture
+from toolkit.data.cameras import current_cameras, home_camera
+from toolkit.data.conditions import Conditions
 from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
 from toolkit.data.layout import arrange, resting_poses
 from toolkit.data.objects import load_object_set
 from toolkit.data.source import open_capture
-from toolkit.data.tabletop import TabletopConfig, home_camera, ring_cameras
+from toolkit.data.tabletop import TabletopConfig
 from toolkit.errors import ToolkitError
 from toolkit.geometry import rotation_angle
 from toolkit.parallel import open_workers
@@ -93,9 +95,8 @@ def test_more_objects_than_there_are_is_an_error(cache, tmp_path):
 
 
 def test_the_first_ring_view_is_the_home_view():
-    config = TabletopConfig()
-    cameras = ring_cameras(config)
-    np.testing.assert_array_equal(cameras[0].T_world_camera, home_camera(config).T_world_camera)
+    cameras = current_cameras(Conditions(), "640x480", 8, np.random.default_rng(0))
+    np.testing.assert_array_equal(cameras[0].T_world_camera, home_camera("640x480").T_world_camera)
     assert len({c.T_world_camera.tobytes() for c in cameras}) == 8
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, is_rigid, make_transform, orthonormalize
-from toolkit.types import Camera, Capture, Float, Frame, Image, Mask, ObjectModel, TrueObject
+from toolkit.types import Camera, Capture, Float, Frame, Image, Mask, ObjectModel, Placed, TrueObject
 
 DEPTH_SCALE = 0.1
 """Millimetres a unit of the depth images that the toolkit writes."""
@@ -41,7 +41,8 @@ def load_capture(folder: Path) -> Capture:
         raise ToolkitError(f"'{goal_folder}' must hold exactly one goal image, it holds {len(goal)}")
     if not any(frame.depth is not None and frame.depth.any() for frame in current):
         raise ToolkitError(f"'{current_folder / 'depth'}': every depth image is zero everywhere; nothing was measured")
-    return Capture(folder.name, tuple(current), goal[0], _load_truth(folder), capture_digest(folder))
+    truth, only_current, only_goal = _load_truth(folder)
+    return Capture(folder.name, tuple(current), goal[0], truth, capture_digest(folder), only_current, only_goal)
 
 
 def load_models(path: Path) -> dict[int, ObjectModel]:
@@ -71,7 +72,12 @@ def load_models(path: Path) -> dict[int, ObjectModel]:
 
 
 def write_capture(
-    folder: Path, current: Sequence[Frame], goal: Frame, truth: Mapping[int, TrueObject] | None = None
+    folder: Path,
+    current: Sequence[Frame],
+    goal: Frame,
+    truth: Mapping[int, TrueObject] | None = None,
+    only_current: Mapping[int, Placed] | None = None,
+    only_goal: Mapping[int, Placed] | None = None,
 ) -> None:
     """Write a capture folder that `load_capture` reads back: same poses to the last bit, depth to 0.05 mm.
 
@@ -79,20 +85,24 @@ def write_capture(
         folder: made when absent.
         current: RGB-D frames of the current scene.
         goal: the goal image.
-        truth: true objects by instance id; without it no masks, poses and models are written.
+        truth: true objects in both scenes by instance id; without it no masks, poses and models are written.
+        only_current: objects that are not in the goal, by instance id.
+        only_goal: objects that are not in the current scene, by instance id.
     """
-    for name, frames in (("current", current), ("goal", [goal])):
+    true = truth or {}
+    now = {i: Placed(o.model, o.T_world_current) for i, o in true.items()} | dict(only_current or {})
+    then = {i: Placed(o.model, o.T_world_goal) for i, o in true.items()} | dict(only_goal or {})
+    for name, frames, placed in (("current", current, now), ("goal", [goal], then)):
         scene = folder / name
         for sub in ("rgb", "depth") if truth is None else ("rgb", "depth", "mask_visib"):
             (scene / sub).mkdir(parents=True, exist_ok=True)
         write_json(scene / "scene_camera.json", {str(f.index): _camera_json(f.camera) for f in frames})
         for frame in frames:
-            _write_frame(scene, frame, list(truth or {}))
+            _write_frame(scene, frame, list(placed))
         if truth is not None:
-            poses = {i: o.T_world_current if name == "current" else o.T_world_goal for i, o in truth.items()}
-            write_json(scene / "scene_gt.json", {str(f.index): _poses_json(f, poses, truth) for f in frames})
+            write_json(scene / "scene_gt.json", {str(f.index): _poses_json(f, placed) for f in frames})
     if truth is not None:
-        models = {str(o.model.object_id): _model_json(o.model) for o in truth.values()}
+        models = {str(o.model.object_id): _model_json(o.model) for o in (now | then).values()}
         write_json(folder / "models_info.json", models)
 
 
@@ -172,23 +182,25 @@ def _check_disjoint(masks: dict[int, Mask], folder: Path, index: int) -> None:
             raise ToolkitError(f"'{folder}', image {index}: the visible mask of object {instance} overlaps another one")
 
 
-def _load_truth(folder: Path) -> dict[int, TrueObject] | None:
+def _load_truth(folder: Path) -> tuple[dict[int, TrueObject] | None, dict[int, Placed], dict[int, Placed]]:
+    """Objects in both scenes, and those in the current scene or in the goal only, by instance id."""
     files = [folder / "models_info.json", folder / "current" / "scene_gt.json", folder / "goal" / "scene_gt.json"]
     if not all(file.exists() for file in files):
-        return None
+        return None, {}, {}
     models = load_models(files[0])
-    current, goal = (_load_poses(file) for file in files[1:])
-    truth: dict[int, TrueObject] = {}
-    for instance in sorted(current.keys() & goal.keys()):
-        (object_id, T_current), (_, T_goal) = current[instance], goal[instance]
-        if object_id not in models:
-            raise ToolkitError(f"'{files[0]}' has no object {object_id}, which '{files[1]}' names")
-        truth[instance] = TrueObject(models[object_id], T_current, T_goal, instance)
-    return truth
+    current, goal = (_load_poses(file, models, files[0]) for file in files[1:])
+    truth = {
+        i: TrueObject(current[i].model, current[i].T_world_model, goal[i].T_world_model, i)
+        for i in sorted(current.keys() & goal.keys())
+    }
+    only_current, only_goal = (
+        {i: a[i] for i in sorted(a.keys() - b.keys())} for a, b in ((current, goal), (goal, current))
+    )
+    return truth, only_current, only_goal
 
 
-def _load_poses(path: Path) -> dict[int, tuple[int, Float]]:
-    """Instance id -> (object id, model to world), from the first image: world poses do not depend on the view."""
+def _load_poses(path: Path, models: Mapping[int, ObjectModel], models_path: Path) -> dict[int, Placed]:
+    """Objects by instance id, from the first image: world poses do not depend on the view."""
     scene = _read_json(path)
     cameras = _read_json(path.with_name("scene_camera.json"))
     key = min(scene, key=int)
@@ -196,14 +208,17 @@ def _load_poses(path: Path) -> dict[int, tuple[int, Float]]:
         np.array(cameras[key]["cam_R_w2c"], np.float64).reshape(3, 3), np.array(cameras[key]["cam_t_w2c"]) / 1e3
     )
     T_world_camera = invert(_rigid(camera, f"'{path.with_name('scene_camera.json')}', image {key}"))
-    poses: dict[int, tuple[int, Float]] = {}
+    poses: dict[int, Placed] = {}
     for instance, entry in zip(_instance_ids(scene[key]), scene[key], strict=True):
         if "T_world_model" in entry:
             T_world_model = np.array(entry["T_world_model"], np.float64)
         else:
             R = np.array(entry["cam_R_m2c"], np.float64).reshape(3, 3)
             T_world_model = T_world_camera @ _rigid(make_transform(R, np.array(entry["cam_t_m2c"]) / 1e3), f"'{path}'")
-        poses[instance] = (int(entry["obj_id"]), T_world_model)
+        object_id = int(entry["obj_id"])
+        if object_id not in models:
+            raise ToolkitError(f"'{models_path}' has no object {object_id}, which '{path}' names")
+        poses[instance] = Placed(models[object_id], T_world_model)
     return poses
 
 
@@ -283,18 +298,18 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _poses_json(frame: Frame, poses: Mapping[int, Float], truth: Mapping[int, TrueObject]) -> list[dict[str, Any]]:
+def _poses_json(frame: Frame, placed: Mapping[int, Placed]) -> list[dict[str, Any]]:
     entries: list[dict[str, Any]] = []
-    for instance, T_world_model in poses.items():
-        T = invert(frame.camera.T_world_camera) @ T_world_model
+    for instance, item in placed.items():
+        T = invert(frame.camera.T_world_camera) @ item.T_world_model
         entries.append(
             {
                 "cam_R_m2c": T[:3, :3].ravel().tolist(),
                 "cam_t_m2c": (T[:3, 3] * 1e3).tolist(),
-                "obj_id": truth[instance].model.object_id,
+                "obj_id": item.model.object_id,
                 "inst_id": instance,
                 # Exact, so that truth scores exactly zero; BOP's own keys carry the rounding of one inversion.
-                "T_world_model": T_world_model.tolist(),
+                "T_world_model": item.T_world_model.tolist(),
             }
         )
     return entries

@@ -34,11 +34,17 @@ def describe(dataset: Path) -> Iterator[str]:
         yield "settings: " + ", ".join(f"{key}={value}" for key, value in recipe["config"].items())
     counts: Counter[int] = Counter()
     names: Counter[str] = Counter()
+    only_current = only_goal = 0
     for folder in captures:
-        truth = load_capture(folder).truth or {}
+        capture = load_capture(folder)
+        truth = capture.truth or {}
         counts[len(truth)] += 1
         names.update(item.model.name for item in truth.values())
+        only_current += len(capture.only_current)
+        only_goal += len(capture.only_goal)
     yield f"captures: {len(captures)}; objects: {sum(names.values())}, {len(names)} different ones"
+    if only_current or only_goal:
+        yield f"objects in the current scene only: {only_current}; in the goal only: {only_goal}"
     yield "scenes by number of objects: " + ", ".join(f"{n}: {counts[n]}" for n in sorted(counts))
 
 

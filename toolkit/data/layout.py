@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 import trimesh
@@ -32,10 +32,14 @@ class RestingObject:
     Attributes:
         T_rest_model: (4, 4) model to resting pose.
         support: (D,) distance of the footprint's supporting lines from the origin, by direction (see `_directions`).
+        outline: (K, 2) corners of the footprint's convex hull, counter-clockwise.
+        height: of its highest point.
     """
 
     T_rest_model: Float
     support: Float
+    outline: Float
+    height: float
 
     @property
     def radius(self) -> float:
@@ -50,7 +54,7 @@ def resting_poses(asset: ObjectAsset) -> list[RestingObject]:
     Raises:
         ToolkitError: a collision mesh cannot be read.
     """
-    points, mass_center = _hull_points(asset.hulls)
+    points, mass_center = hull_points(asset.hulls)
     hull = cast(Any, trimesh.convex.convex_hull(points))
     poses = [np.eye(4)] if _is_stable(points, mass_center) else []
     transforms, probabilities = hull.compute_stable_poses(center_mass=mass_center, sigma=0, threshold=0.02)
@@ -59,8 +63,12 @@ def resting_poses(asset: ObjectAsset) -> list[RestingObject]:
 
 
 @lru_cache(maxsize=512)
-def _hull_points(hulls: tuple[Path, ...]) -> tuple[Float, Float]:
-    """All hull vertices (N, 3), and the volume-weighted centre of mass (3,)."""
+def hull_points(hulls: tuple[Path, ...]) -> tuple[Float, Float]:
+    """All vertices (N, 3) of convex meshes, and the volume-weighted centre of mass (3,), in their own coordinates.
+
+    Raises:
+        ToolkitError: a mesh cannot be read, or is flat.
+    """
     try:
         meshes = [cast(Any, trimesh.load(hull, force="mesh")) for hull in hulls]
     except Exception as error:
@@ -90,7 +98,11 @@ def _resting(T: Float, points: Float) -> RestingObject:
     turned = points @ T[:3, :3].T
     low, high = turned.min(axis=0), turned.max(axis=0)
     shift = np.array([*(-(low + high)[:2] / 2), -low[2]])
-    return RestingObject(make_transform(T[:3, :3], shift), ((turned + shift)[:, :2] @ _directions().T).max(axis=0))
+    seen = (turned + shift)[:, :2]
+    corners = seen[ConvexHull(seen).vertices]
+    return RestingObject(
+        make_transform(T[:3, :3], shift), (seen @ _directions().T).max(axis=0), corners, float((high - low)[2])
+    )
 
 
 @lru_cache(maxsize=1)
@@ -114,31 +126,56 @@ class Placement:
         return T
 
 
+class Neighbours(Protocol):
+    """Puts some objects next to others (`toolkit.data.crowding`)."""
+
+    def anchor(self, objects: Sequence[RestingObject], placed: Mapping[int, Placement]) -> int | None:
+        """The object that the next one is to stand at; None where it is to stand by itself."""
+        ...
+
+    def place(self, resting: RestingObject, yaw: float, anchor: RestingObject, at: Placement) -> Placement:
+        """Draw a place at an object; it may collide with others."""
+        ...
+
+    def collides(self, a: RestingObject, at: Placement, b: RestingObject, b_at: Placement) -> bool:
+        """Say whether two objects cut into each other."""
+        ...
+
+
 def arrange(
     objects: Sequence[RestingObject],
     yaws: Sequence[float],
     radius: float,
     clearance: float,
     rng: np.random.Generator,
+    fixed: Mapping[int, Placement] | None = None,
+    neighbours: Neighbours | None = None,
 ) -> list[Placement]:
     """Draw a collision-free arrangement inside a disc around the table's centre.
 
     Args:
         objects: what to place.
-        yaws: radians, one an object.
+        yaws: radians, one per object.
         radius: of the disc every footprint stays in.
-        clearance: least gap between two footprints.
+        clearance: least gap between two footprints, except between neighbours.
         rng: the only source of chance.
+        fixed: placements by position in `objects` that are given.
+        neighbours: puts objects next to others; without it each stands by itself.
 
     Raises:
         ToolkitError: the disc does not hold them.
     """
+    given = fixed or {}
     # Large ones first: small ones fit into what is left.
-    order = sorted(range(len(objects)), key=lambda i: -objects[i].radius)
+    order = sorted((i for i in range(len(objects)) if i not in given), key=lambda i: -objects[i].radius)
     for _ in range(_RESTARTS):
-        placed: dict[int, Placement] = {}
+        placed: dict[int, Placement] = dict(given)
         for i in order:
-            found = _place(i, objects, yaws, placed, radius, clearance, rng)
+            anchor = neighbours.anchor(objects, placed) if neighbours is not None else None
+            if neighbours is not None and anchor is not None:
+                found = _place_at(i, anchor, objects, yaws, placed, radius, neighbours)
+            else:
+                found = _place(i, objects, yaws, placed, radius, clearance, rng)
             if found is None:
                 break
             placed[i] = found
@@ -172,6 +209,23 @@ def _place(
         )
         if apart:
             return Placement(x, y, yaws[index])
+    return None
+
+
+def _place_at(
+    index: int,
+    anchor: int,
+    objects: Sequence[RestingObject],
+    yaws: Sequence[float],
+    placed: Mapping[int, Placement],
+    radius: float,
+    neighbours: Neighbours,
+) -> Placement | None:
+    for _ in range(_TRIES_PER_OBJECT):
+        found = neighbours.place(objects[index], yaws[index], objects[anchor], placed[anchor])
+        inside = np.hypot(found.x, found.y) <= radius - objects[index].radius
+        if inside and not any(neighbours.collides(objects[index], found, objects[j], p) for j, p in placed.items()):
+            return found
     return None
 
 

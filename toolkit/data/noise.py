@@ -8,6 +8,8 @@ Intel RealSense D435 for mobile robots", UR 2019.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -50,3 +52,39 @@ def color_noise(rgb: Image, rng: np.random.Generator) -> Image:
     """Add sensor noise to (H, W, 3) uint8 colours."""
     noisy = rgb + rng.normal(0, _COLOR_SIGMA, rgb.shape)
     return np.rint(noisy).clip(0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Exposure, white balance, tone curve, and light that falls off towards the corners."""
+
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gamma: float = 1.0
+    falloff: float = 0.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Exposure:
+        """Within what a camera's automatic chooses in one room."""
+        light, warmth, tint = np.exp(rng.normal(0, [0.18, 0.07, 0.02]))
+        gain = (float(light * warmth), float(light * tint), float(light / warmth))
+        return cls(gain, float(np.exp(rng.normal(0, 0.15))), float(rng.uniform(0, 0.25)))
+
+    def apply(self, rgb: Image) -> Image:
+        """(H, W, 3) uint8 in and out."""
+        y, x = np.linspace(-1, 1, rgb.shape[0])[:, None], np.linspace(-1, 1, rgb.shape[1])
+        kept = (1 - self.falloff * (x**2 + y**2) / 2).astype(np.float32)
+        light = np.minimum(rgb / np.float32(255) * np.array(self.gain, np.float32), 1) * kept[..., None]
+        return np.rint(255 * light**self.gamma).clip(0, 255).astype(np.uint8)
+
+
+def blur(rgb: Image, rng: np.random.Generator) -> Image:
+    """Out of focus by up to a pixel and a half, and in one picture of four shaken; (H, W, 3) uint8 in and out."""
+    soft = cv2.GaussianBlur(rgb, (0, 0), rng.uniform(0.3, 1.5))
+    if rng.random() < 0.25:
+        length, angle = rng.uniform(3, 8), rng.uniform(0, np.pi)
+        kernel = np.zeros((9, 9), np.float32)
+        half = 0.5 * length * np.array([np.cos(angle), np.sin(angle)])
+        start, end = (tuple(np.rint(4 + sign * half).astype(int).tolist()) for sign in (-1, 1))
+        cv2.line(kernel, start, end, 1.0)
+        soft = cv2.filter2D(soft, -1, kernel / kernel.sum())
+    return np.asarray(soft, np.uint8)

@@ -1,109 +1,36 @@
-"""The tabletop benchmark (Sec. Experiments / Dataset): one scene from its seed and number, whatever else is built."""
+"""The tabletop benchmark (Sec. Experiments / Dataset): scenes as pictures, and as capture folders."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
-from scipy.spatial.transform import Rotation
+from numpy.typing import NDArray
 
 from toolkit.data import noise
+from toolkit.data.background import draw_background
 from toolkit.data.bop import write_capture
-from toolkit.data.layout import Placement, RestingObject, arrange, resting_poses
-from toolkit.data.lookalikes import Lookalikes, with_lookalikes
-from toolkit.data.objects import ObjectAsset, ObjectSet
-from toolkit.data.table import table_files
-from toolkit.errors import ToolkitError
-from toolkit.geometry import look_at, make_transform
-from toolkit.registry import PluginConfig
-from toolkit.sim.bullet import Renderer, best_renderer
+from toolkit.data.cameras import jitter
+from toolkit.data.clutter import draw_clutter
+from toolkit.data.objects import ObjectSet
+from toolkit.data.props import AWAY
+from toolkit.data.scene import TabletopConfig, TabletopScene, draw_scene, scene_generator
+from toolkit.data.sensors import measure_depth
+from toolkit.data.table import table_files, table_prop
 from toolkit.sim.client import Client
+from toolkit.sim.shading import Lamp, ShadowMap, Surface, draw_lamps, mirror_lamps
 from toolkit.sim.world import Light, World
-from toolkit.types import Camera, Float, Frame, Image, Mask, TrueObject
+from toolkit.types import Camera, Float, Frame, Image, Mask
 
-Effect = Literal["depth", "quantization", "dropout", "color", "light", "pose"]
-_TRACKS: dict[str, tuple[Effect, ...]] = {
-    "clean": (),
-    "d435": ("depth", "quantization", "dropout", "color", "light", "pose"),
-}
-
-_CAMERA_DISTANCE_M = 1.05
-_ELEVATION = np.radians(45)
-_HOME_AZIMUTH = np.radians(-90)
-_LOOK_AT = np.array([0.0, 0.0, 0.03])
 _BACKGROUND = np.array([96, 100, 104], np.uint8)
-_POSE_JITTER_DEG, _POSE_JITTER_M = 0.2, 0.002
+_FAR_M, _ROOM_FAR_M = 4.0, 8.0
+_SHADOW_EDGE_M = 0.012
 
-# Colour intrinsics as a factory-calibrated D435i reports them, rounded (librealsense, rs-enumerate-devices -c).
-_INTRINSICS = {
-    "640x480": (616.0, 616.0, 319.5, 239.5, 640, 480),
-    "1280x720": (912.0, 912.0, 639.5, 359.5, 1280, 720),
-}
-
-
-class TabletopConfig(PluginConfig):
-    """Settings of the tabletop benchmark."""
-
-    objects: str = Field("procedural", description="'procedural', or a folder of scanned objects.")
-    scenes: int = Field(150, ge=1, description="Number of scenes.")
-    seed: int = Field(0, ge=0, description="Benchmark seed.")
-    min_objects: int = Field(1, ge=1, description="Fewest objects a scene.")
-    max_objects: int = Field(9, ge=1, description="Most objects a scene.")
-    rotation_deg: float = Field(180.0, ge=0, le=180, description="Yaw between goal and current is within +- this.")
-    views: int = Field(8, ge=1, le=64, description="Current frames, on a ring; the first is the home view.")
-    resolution: Literal["640x480", "1280x720"] = Field("640x480", description="Image size.")
-    track: Literal["clean", "d435"] = Field("clean", description="Without noise, or as a RealSense D435 sees it.")
-    noise: tuple[Effect, ...] | None = Field(None, description="Only these of the track's effects; all when left out.")
-    table: Literal["plain", "wood", "cloth"] = Field("wood", description="What the table looks like.")
-    poses: Literal["upright", "stable"] = Field(
-        "upright", description="Natural resting pose; or another stable one in the goal than now (6-DoF motions)."
-    )
-    lookalikes: Lookalikes = Field(
-        "none", description="Every second object is the one before it once more: the same, or in other colours."
-    )
-    radius_m: float = Field(
-        0.40, gt=0, le=0.40, description="Objects stand inside this disc; an arm at the edge does not reach all of 0.4."
-    )
-    clearance_m: float = Field(0.01, ge=0, description="Least gap between objects.")
-    renderer: Renderer = Field(
-        default_factory=best_renderer,
-        description="PyBullet's EGL plug-in where it loads, else TinyRenderer.",
-    )
-    supersample: int = Field(2, ge=1, le=4, description="TinyRenderer: rendered pixels per pixel and axis.")
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The noise effects that are on."""
-        return _TRACKS[self.track] if self.noise is None else self.noise
-
-
-@dataclass(frozen=True, eq=False)
-class TabletopScene:
-    """What stands where, before and after.
-
-    Attributes:
-        config: the benchmark's settings.
-        number: of the scene in the benchmark.
-        assets: the objects; an object's position is its instance id.
-        current: (4, 4) model to world of every object now.
-        goal: the same in the goal scene.
-    """
-
-    config: TabletopConfig
-    number: int
-    assets: tuple[ObjectAsset, ...]
-    current: tuple[Float, ...]
-    goal: tuple[Float, ...]
-
-    @property
-    def truth(self) -> dict[int, TrueObject]:
-        """True objects by instance id."""
-        poses = zip(self.assets, self.current, self.goal, strict=True)
-        return {i: TrueObject(asset.model, current, goal, i) for i, (asset, current, goal) in enumerate(poses)}
+Side = Literal["goal", "current"]
 
 
 def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder: Path, cache: Path) -> None:
@@ -112,12 +39,13 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
     The same settings and number give the same files, in any order and on any number of workers.
 
     Raises:
-        ToolkitError: there are fewer objects than asked for, or the table does not hold them.
+        ToolkitError: as `draw_scene`; the renderer does not load here.
     """
     scene = draw_scene(config, objects, number, cache)
     with Studio(scene, cache) as studio:
         goal = studio.goal()
-        write_capture(folder, studio.current(scene.current), goal, scene.truth)
+        current = studio.current(scene.current)
+    write_capture(folder, current, goal, scene.truth, scene.only_current, scene.only_goal)
 
 
 class Studio:
@@ -134,13 +62,16 @@ class Studio:
     """
 
     def __init__(self, scene: TabletopScene, cache: Path) -> None:
-        self._config = scene.config
-        self._goal_poses = scene.goal
-        self._rng = _generator(scene.config, scene.number, "noise")
-        self._goal_light, self._light = _lights(scene.config, self._rng)
-        self._world = World(scene.config.renderer)
-        visuals = [(asset.mesh, asset.texture) for asset in scene.assets]
-        _, *self._bodies = self._world.add_visuals([table_files(scene.config.table, cache), *visuals])
+        self._scene = scene
+        self._conditions = scene.conditions
+        self._rng = scene_generator(scene.config, scene.number, "noise")
+        lit, exposed = ("light" in scene.conditions.noise, "exposure" in scene.conditions.noise)
+        self._goal_light, self._light = (_draw_light(self._rng) if lit else Light() for _ in range(2))
+        exposures = [noise.Exposure.draw(self._rng) if exposed else noise.Exposure() for _ in range(2)]
+        self._goal_exposure, self._exposure = exposures
+        self._world = World(scene.config.renderer, _ROOM_FAR_M if scene.conditions.background else _FAR_M)
+        self._add_bodies(cache)
+        self._lamps, self._gloss = self._draw_gloss()
 
     def __enter__(self) -> Studio:
         return self
@@ -158,126 +89,130 @@ class Studio:
         return self._world.client
 
     def goal(self) -> Frame:
-        """The goal image, from the home view."""
-        self._world.move_all(self._bodies, self._goal_poses)
-        return self._shoot(0, home_camera(self._config), self._goal_light, depth=False)
+        """The goal image."""
+        scene = self._scene
+        gone = [AWAY] * (len(scene.assets) - len(scene.goal))
+        self._arrange([*scene.goal, *gone, *(pose for _, pose in scene.goal_only)], "goal")
+        look = _Look(self._goal_light, self._shadows(self._goal_light), self._goal_exposure)
+        frame = self._shoot(0, scene.goal_camera, look, scene.goal_hand)
+        return replace(frame, depth=None)
 
     def current(self, poses: Sequence[Float]) -> list[Frame]:
-        """RGB-D frames from the predefined views, with every object at its (4, 4) pose."""
-        self._world.move_all(self._bodies, poses)
-        return [self._shoot(i, c, self._light, depth=True) for i, c in enumerate(ring_cameras(self._config))]
+        """RGB-D frames from the scene's views, with every object at its (4, 4) pose."""
+        self._show(poses)
+        look = _Look(self._light, self._shadows(self._light), self._exposure)
+        views = zip(self._scene.cameras, self._scene.hands, strict=True)
+        return [self._shoot(i, camera, look, hand) for i, (camera, hand) in enumerate(views)]
 
     def picture(self, camera: Camera, poses: Sequence[Float]) -> Image:
         """(H, W, 3) uint8 without noise, for people to look at."""
-        self._world.move_all(self._bodies, poses)
+        self._show(poses)
+        self._place_hand(AWAY)
         rgb, _, ids = self._world.render(camera, self._light, self._supersample)
         rgb[ids < 0] = _BACKGROUND
         return rgb
 
+    def _add_bodies(self, cache: Path) -> None:
+        """Put everything into the world that is ever seen."""
+        scene, conditions = self._scene, self._conditions
+        objects = [*scene.assets, *(asset for asset, _ in scene.goal_only)]
+        clutter = draw_clutter(scene.table, conditions.clutter, self._generator("clutter"))
+        room = draw_background(scene.table, self._generator("background")) if conditions.background else []
+        hands = [scene.hand] if scene.hand is not None else []
+        usual = conditions.table != "varied" and conditions.table_shape == "square" and not conditions.background
+        with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
+            if usual:
+                table = table_files(conditions.table, cache)
+            else:
+                table = table_prop(scene.table, conditions.table, self._generator("look")).write(Path(folder), "table")
+            props = [*(thing.prop for thing in clutter), *room, *hands]
+            files = [prop.write(Path(folder), str(i)) for i, prop in enumerate(props)]
+            bodies = self._world.add_visuals([table, *((o.mesh, o.texture) for o in objects), *files])
+        self._table, self._bodies, others = bodies[0], bodies[1 : 1 + len(objects)], bodies[1 + len(objects) :]
+        self._clutter = [(body, thing.presence) for body, thing in zip(others, clutter, strict=False)]
+        self._hand = others[-1] if hands else None
+
+    def _draw_gloss(self) -> tuple[list[Lamp], Float]:
+        """The lamps that are mirrored, and how much every body mirrors them, by body id."""
+        rng = self._generator("gloss")
+        gloss = np.zeros(max(self._bodies, default=self._table) + 1, np.float32)
+        gloss[self._table] = self._conditions.gloss
+        gloss[self._bodies] = self._conditions.gloss * rng.uniform(0, 1, len(self._bodies)) ** 2
+        return draw_lamps(rng), gloss
+
+    def _show(self, poses: Sequence[Float]) -> None:
+        self._arrange([*poses, *[AWAY] * len(self._scene.goal_only)], "current")
+
+    def _arrange(self, poses: Sequence[Float], side: Side) -> None:
+        """Put every object at a (4, 4) pose, and the flat things that lie in that scene on the table."""
+        self._world.move_all(self._bodies, poses)
+        for body, presence in self._clutter:
+            self._world.client.place(body, np.eye(4) if presence in ("both", side) else AWAY)
+
+    def _place_hand(self, T_world_hand: Float) -> None:
+        if self._hand is not None:
+            self._world.client.place(self._hand, T_world_hand)
+
+    def _shadows(self, light: Light) -> ShadowMap | None:
+        """The shadows of what stands on the table now."""
+        if not self._conditions.shadows:
+            return None
+        self._place_hand(AWAY)
+        return ShadowMap(self._world, light, _SHADOW_EDGE_M)
+
+    def _generator(self, purpose: str) -> np.random.Generator:
+        return scene_generator(self._scene.config, self._scene.number, purpose)
+
     @property
     def _supersample(self) -> int:
-        return self._config.supersample if self._config.renderer == "tiny" else 1
+        return self._scene.config.supersample if self._scene.config.renderer == "tiny" else 1
 
-    def _shoot(self, index: int, camera: Camera, light: Light, *, depth: bool) -> Frame:
-        seen = jitter(camera, self._rng) if "pose" in self._config.effects else camera
-        rgb, z, ids = self._world.render(seen, light, self._supersample)
+    def _shoot(self, index: int, camera: Camera, look: _Look, T_world_hand: Float) -> Frame:
+        effects = self._conditions.noise
+        self._place_hand(T_world_hand)
+        seen = jitter(camera, self._rng) if "pose" in effects else camera
+        rgb, z, ids = self._world.render(seen, look.light, self._supersample)
         rgb[ids < 0] = _BACKGROUND
         masks: dict[int, Mask] = {i: ids == body for i, body in enumerate(self._bodies)}
         masks = {i: mask for i, mask in masks.items() if mask.any()}
-        rgb, z = _degrade(rgb, z, self._config.effects, self._rng)
-        return Frame(index, rgb, camera, z if depth else None, masks)
+        rgb = self._lit(rgb, z, ids, seen, look)
+        z = measure_depth(z, rgb, float(camera.K[0, 0]), self._conditions.sensor, effects, self._rng)
+        return Frame(index, self._developed(rgb, look), camera, z, masks)
+
+    def _lit(self, rgb: Image, z: Float, ids: NDArray[np.int32], camera: Camera, look: _Look) -> Image:
+        """Shadows and mirrored lamps, where the scene has them."""
+        if look.shadows is None and not self._conditions.gloss:
+            return rgb
+        surface = Surface(z, camera)
+        if look.shadows is not None:
+            rgb = look.shadows.darken(rgb, surface)
+        if self._conditions.gloss:
+            known = (ids >= 0) & (ids < len(self._gloss))
+            rgb = mirror_lamps(rgb, surface, self._lamps, np.where(known, self._gloss[ids * known], 0))
+        return rgb
+
+    def _developed(self, rgb: Image, look: _Look) -> Image:
+        """What lens and sensor make of the light."""
+        effects = self._conditions.noise
+        if "blur" in effects:
+            rgb = noise.blur(rgb, self._rng)
+        if "exposure" in effects:
+            rgb = look.exposure.apply(rgb)
+        if "color" in effects:
+            rgb = noise.color_noise(rgb, self._rng)
+        return rgb
 
 
-def home_camera(config: TabletopConfig) -> Camera:
-    """The fixed frontal view the goal image is taken from."""
-    return _camera(config, _HOME_AZIMUTH)
+@dataclass(frozen=True)
+class _Look:
+    """What the pictures of one scene share."""
+
+    light: Light
+    shadows: ShadowMap | None
+    exposure: noise.Exposure
 
 
-def filming_camera(config: TabletopConfig) -> Camera:
-    """A view from further off and beside the home view, for people."""
-    home = home_camera(config)
-    return Camera(home.K, look_at(np.array([1.25, 0.85, 0.95]), np.array([0.0, -0.15, 0.25])), home.width, home.height)
-
-
-def ring_cameras(config: TabletopConfig) -> list[Camera]:
-    """The predefined views around the table's centre, evenly spaced; the first is the home view."""
-    return [_camera(config, _HOME_AZIMUTH + 2 * np.pi * i / config.views) for i in range(config.views)]
-
-
-def _camera(config: TabletopConfig, azimuth: float) -> Camera:
-    fx, fy, cx, cy, width, height = _INTRINSICS[config.resolution]
-    out, up = np.cos(_ELEVATION), np.sin(_ELEVATION)
-    eye = _LOOK_AT + _CAMERA_DISTANCE_M * np.array([out * np.cos(azimuth), out * np.sin(azimuth), up])
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return Camera(K, look_at(eye, _LOOK_AT), width, height)
-
-
-def _generator(config: TabletopConfig, number: int, purpose: str) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence([config.seed, number, *purpose.encode()]))
-
-
-def draw_scene(config: TabletopConfig, objects: ObjectSet, number: int, cache: Path) -> TabletopScene:
-    """Draw what stands where in scene `number`; files of recoloured objects are kept below `cache`.
-
-    Raises:
-        ToolkitError: there are fewer objects than asked for, or the table does not hold them.
-    """
-    rng = _generator(config, number, "layout")
-    most = config.max_objects
-    if config.min_objects > most:
-        raise ToolkitError(f"dataset: min_objects is {config.min_objects}, more than max_objects, {most}")
-    if most > len(objects.assets):
-        raise ToolkitError(f"dataset: max_objects is {most}, but '{objects.name}' has {len(objects.assets)} objects")
-    count = int(rng.integers(config.min_objects, most + 1))
-    chosen = sorted(rng.choice(len(objects.assets), count, replace=False).tolist())
-    assets = with_lookalikes([objects.assets[i] for i in chosen], config.lookalikes, cache)
-    rests = [resting_poses(asset) for asset in assets]
-    now = [rest[0] for rest in rests]
-    then = [_other(rest, rng) for rest in rests] if config.poses == "stable" else now
-    yaws = rng.uniform(-np.pi, np.pi, count)
-    turns = np.radians(rng.uniform(-config.rotation_deg, config.rotation_deg, count))
-    goal = arrange(then, yaws.tolist(), config.radius_m, config.clearance_m, rng)
-    current = arrange(now, (yaws + turns).tolist(), config.radius_m, config.clearance_m, rng)
-    return TabletopScene(config, number, assets, _poses(current, now), _poses(goal, then))
-
-
-def _poses(placements: Sequence[Placement], rests: Sequence[RestingObject]) -> tuple[Float, ...]:
-    return tuple(placement.pose(rest) for placement, rest in zip(placements, rests, strict=True))
-
-
-def _other(rests: list[RestingObject], rng: np.random.Generator) -> RestingObject:
-    return rests[int(rng.integers(1, len(rests)))] if len(rests) > 1 else rests[0]
-
-
-def _lights(config: TabletopConfig, rng: np.random.Generator) -> tuple[Light, Light]:
-    """The light over the goal scene and over the current one: the same, unless the track changes it."""
-    if "light" not in config.effects:
-        return Light(), Light()
-
-    def draw() -> Light:
-        x, y = rng.uniform(-0.8, 0.8, 2)
-        ambient = rng.uniform(0.45, 0.65)
-        return Light((float(x), float(y), 1.0), float(ambient), float(rng.uniform(0.3, 1.0 - ambient)))
-
-    return draw(), draw()
-
-
-def jitter(camera: Camera, rng: np.random.Generator) -> Camera:
-    """Where the camera really is, when its stated pose is off by a calibrated arm's error."""
-    turn = Rotation.from_rotvec(rng.normal(0, np.radians(_POSE_JITTER_DEG) / np.sqrt(3), 3)).as_matrix()
-    shift = rng.normal(0, _POSE_JITTER_M / np.sqrt(3), 3)
-    return Camera(camera.K, camera.T_world_camera @ make_transform(turn, shift), camera.width, camera.height)
-
-
-def _degrade(
-    rgb: np.ndarray, depth: Float, effects: tuple[Effect, ...], rng: np.random.Generator
-) -> tuple[np.ndarray, Float]:
-    if "depth" in effects:
-        depth = noise.axial_noise(depth, rng)
-    if "quantization" in effects:
-        depth = noise.quantize(depth)
-    if "dropout" in effects:
-        depth = noise.dropout(depth, rng)
-    if "color" in effects:
-        rgb = noise.color_noise(rgb, rng)
-    return rgb, depth
+def _draw_light(rng: np.random.Generator) -> Light:
+    x, y = rng.uniform(-0.8, 0.8, 2)
+    ambient = rng.uniform(0.45, 0.65)
+    return Light((float(x), float(y), 1.0), float(ambient), float(rng.uniform(0.3, 1.0 - ambient)))

@@ -15,7 +15,7 @@ import trimesh
 from trimesh.visual.material import PBRMaterial
 
 from toolkit.data.objects import ObjectAsset
-from toolkit.data.tabletop import TabletopScene, home_camera
+from toolkit.data.tabletop import TabletopScene
 from toolkit.errors import ToolkitError
 from toolkit.pictures.recording import load_rerun, log_box, log_camera, log_picture, recording
 from toolkit.types import Float, Image
@@ -95,7 +95,9 @@ class Film:
         if self._on_frame is not None:
             self._on_frame(self._frames / _FRAMES_PER_S)
         self._frames += frames
-        picture = np.hstack([self._executor.goal_picture(), self._executor.snapshot()])
+        now = self._executor.snapshot()
+        goal = cv2.resize(self._executor.goal_picture(), now.shape[1::-1], interpolation=cv2.INTER_AREA)
+        picture = np.hstack([goal, now])
         for text, x in (("goal", 0), ("now", picture.shape[1] // 2)):
             cv2.putText(picture, text, (x + 16, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2, cv2.LINE_AA)
         if self._writer is None:
@@ -127,9 +129,10 @@ def record_poses(executor: Filmable, scene: TabletopScene, path: Path) -> Genera
     rr = load_rerun()
     with recording(path, f"film of scene {scene.number}") as stream:
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        log_camera(stream, rr, "goal/camera", home_camera(scene.config))
+        log_camera(stream, rr, "goal/camera", scene.goal_camera)
+        for number, truth in scene.truth.items():
+            log_box(stream, rr, f"goal/{number}", truth.model, truth.T_world_goal)
         for number, asset in enumerate(scene.assets):
-            log_box(stream, rr, f"goal/{number}", asset.model, scene.goal[number])
             mesh = rr.Asset3D(contents=_small_glb(asset), media_type="model/gltf-binary")
             stream.log(f"table/{number}", mesh, static=True)
         shown: dict[int, Float] = {}

@@ -106,7 +106,7 @@ def write_case(folder: Path, capture: Capture, database: Database, estimates: Se
     name = f"{row.scene_id:06d}_{row.object:06d}"
     _write_png(folder / f"{name}.png", picture)
     if row.rotation_error_deg_sym is None:
-        outcome = f"{row.status}, {row.stage}: {row.reason}"
+        outcome = f"{row.status}, {': '.join(filter(None, (row.stage, row.reason)))}"
     else:
         outcome = f"{row.rotation_error_deg_sym:.1f} deg, {row.translation_error_cm_sym:.1f} cm off"
     (folder / f"{name}.txt").write_text(f"Scene {row.scene_id}, {row.object_name}: {outcome} ({row.cell})")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import invert, make_transform, rotation_angle, transform_points
-from toolkit.types import Float, Mask, ObjectModel, Segment, TrueObject
+from toolkit.types import Float, Mask, ObjectModel, Placed, Segment, TrueObject
 
 MAX_ROTATION_DEG = 5.0
 MAX_TRANSLATION_CM = 2.0
@@ -55,7 +55,12 @@ def pose_error(T_goal_current: Float, truth: TrueObject) -> PoseError:
     return PoseError(*plain, *min(symmetric))
 
 
-def counterparts(motions: Mapping[int, Float], truth: Mapping[int, TrueObject]) -> dict[int, TrueObject]:
+def counterparts(
+    motions: Mapping[int, Float],
+    truth: Mapping[int, TrueObject],
+    only_current: Mapping[int, Placed] | None = None,
+    only_goal: Mapping[int, Placed] | None = None,
+) -> dict[int, TrueObject | None]:
     """What every goal object is scored against.
 
     Objects of the same model are interchangeable: each may go to any of their goal places, as long as every place gets
@@ -64,24 +69,42 @@ def counterparts(motions: Mapping[int, Float], truth: Mapping[int, TrueObject]) 
 
     Args:
         motions: (4, 4) estimated motions by instance id of the goal object; objects without one are left out.
-        truth: true objects by instance id.
+        truth: true objects in both scenes by instance id.
+        only_current: objects that are not in the goal, by instance id.
+        only_goal: objects that are not in the current scene, by instance id.
+
+    Returns:
+        by instance id of the goal object; None where nothing in the current scene is that object, so that no motion is
+        right.
     """
-    kinds: dict[int, list[int]] = {}
-    for i, true in truth.items():
-        kinds.setdefault(true.model.object_id, []).append(i)
-    paired = dict(truth)
-    for ids in kinds.values():
-        if len(ids) == 1:
+    goals = {i: Placed(t.model, t.T_world_goal) for i, t in truth.items()} | dict(only_goal or {})
+    sources = {i: Placed(t.model, t.T_world_current) for i, t in truth.items()} | dict(only_current or {})
+    paired: dict[int, TrueObject | None] = {}
+    for kind in dict.fromkeys(goal.model.object_id for goal in goals.values()):
+        ids = [i for i, goal in goals.items() if goal.model.object_id == kind]
+        there = [i for i, source in sources.items() if source.model.object_id == kind]
+        if len(ids) == 1 and there in ([], ids):
+            paired[ids[0]] = truth.get(ids[0])
             continue
-        moved = {(i, j): replace(truth[i], T_world_current=truth[j].T_world_current) for i in ids for j in ids}
-        costs = [[_cost(motions.get(i), moved[i, j], stays=i == j) for j in ids] for i in ids]
+        options = [[_moved(goals[i], sources[j], i) for j in there] for i in ids]
+        costs = [
+            [_cost(motions.get(i), option, stays=i == j) for option, j in zip(row, there, strict=True)]
+            + [_cost(motions.get(i), None, stays=i not in truth)] * max(0, len(ids) - len(there))
+            for i, row in zip(ids, options, strict=True)
+        ]
         rows, columns = linear_sum_assignment(costs)
-        paired |= {ids[r]: moved[ids[r], ids[c]] for r, c in zip(rows, columns, strict=True)}
+        paired |= {ids[r]: options[r][c] if c < len(there) else None for r, c in zip(rows, columns, strict=True)}
     return paired
 
 
-def _cost(motion: Float | None, truth: TrueObject, *, stays: bool) -> float:
-    """Nothing for a right motion, 1 for a wrong one; among equals, less for what stays and for what is nearer."""
+def _moved(goal: Placed, source: Placed, instance_id: int) -> TrueObject:
+    return TrueObject(goal.model, source.T_world_model, goal.T_world_model, instance_id)
+
+
+def _cost(motion: Float | None, truth: TrueObject | None, *, stays: bool) -> float:
+    """Nothing for what is right, 1 for what is wrong; among equals, less for what stays and for what is nearer."""
+    if truth is None:
+        return (0.0 if motion is None else 1.0) + (0.0 if stays else 1e-3)
     if motion is None:
         return 1.0 if stays else 1.001
     error = pose_error(motion, truth)

@@ -61,11 +61,13 @@ JudgedT = TypeVar("JudgedT", bound=Judged)
 
 
 class Row(ObjectRow):
-    """One true object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
+    """One goal object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
 
+    `in_current`: it is in the current scene too. One that is not is right without a motion, and has no errors.
     `success_equivalent`: this motion, or one that the goal image does not tell apart from it, is right.
     """
 
+    in_current: bool = True
     status: Literal["estimated", "abstained", "failed", "missed"]
     stage: str | None = None
     reason: str | None = None
@@ -149,9 +151,10 @@ class Estimate:
 class CellSummary:
     """The figures of one cell; `_sym` ones take a model's symmetries into account.
 
-    Medians count an object without a motion as infinitely wrong. Completion is the share of scenes of which every
-    object is right (Table II). Intervals: Wilson for shares, bootstrap over scenes for medians. Times are medians
-    over objects, in milliseconds.
+    Medians are over the objects that are in the current scene, and count one without a motion as infinitely wrong;
+    false alarms are the share of the others, `absent` of them, that were given a motion. Completion is the share of
+    scenes of which every object is right (Table II). Intervals: Wilson for shares, bootstrap over scenes for medians.
+    Times are medians over objects, in milliseconds.
     """
 
     cell: str
@@ -168,6 +171,8 @@ class CellSummary:
     success_sym: Estimate
     completion: Estimate
     completion_sym: Estimate
+    absent: int
+    false_alarms: Estimate | None
     matcher_calls: float
     time_ms: dict[str, float]
 
@@ -183,23 +188,27 @@ def summarize(rows: Sequence[Row]) -> list[CellSummary]:
 
 
 def _summarize_cell(cell: str, rows: list[Row]) -> CellSummary:
-    scenes = np.array([row.scene_id for row in rows])
+    there = [row for row in rows if row.in_current]
+    alarms = [row.T_goal_current is not None for row in rows if not row.in_current]
+    scenes = np.array([row.scene_id for row in there])
     stages = dict.fromkeys(stage for row in rows for stage in row.time_ms)
     return CellSummary(
         cell=cell,
         settings=rows[0].settings,
         objects=len(rows),
-        scenes=len(np.unique(scenes)),
-        rotation_median_deg=_median(errors(rows, "rotation_error_deg"), scenes),
-        translation_median_cm=_median(errors(rows, "translation_error_cm"), scenes),
-        rotation_median_deg_sym=_median(errors(rows, "rotation_error_deg_sym"), scenes),
-        translation_median_cm_sym=_median(errors(rows, "translation_error_cm_sym"), scenes),
-        rotation_p90_deg_sym=_p90(errors(rows, "rotation_error_deg_sym")),
-        translation_p90_cm_sym=_p90(errors(rows, "translation_error_cm_sym")),
+        scenes=len({row.scene_id for row in rows}),
+        rotation_median_deg=_median(errors(there, "rotation_error_deg"), scenes),
+        translation_median_cm=_median(errors(there, "translation_error_cm"), scenes),
+        rotation_median_deg_sym=_median(errors(there, "rotation_error_deg_sym"), scenes),
+        translation_median_cm_sym=_median(errors(there, "translation_error_cm_sym"), scenes),
+        rotation_p90_deg_sym=_p90(errors(there, "rotation_error_deg_sym")),
+        translation_p90_cm_sym=_p90(errors(there, "translation_error_cm_sym")),
         success=Estimate.of_share([row.success for row in rows]),
         success_sym=Estimate.of_share([row.success_sym for row in rows]),
         completion=Estimate.of_share(_completed(rows, "success")),
         completion_sym=Estimate.of_share(_completed(rows, "success_sym")),
+        absent=len(alarms),
+        false_alarms=Estimate.of_share(alarms) if alarms else None,
         matcher_calls=float(np.mean([row.matcher_calls for row in rows])),
         time_ms={s: float(np.median([row.time_ms[s] for row in rows if s in row.time_ms])) for s in stages},
     )

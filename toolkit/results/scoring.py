@@ -21,7 +21,10 @@ def score(
     scene_id: int = 0,
     weights: Mapping[str, str] | None = None,
 ) -> list[Row]:
-    """One row for every true object; one that no estimate answers is a row of status `missed`.
+    """One row for every object of the goal; one that no estimate answers is a row of status `missed`.
+
+    An object that is not in the current scene is right when it is given no motion, for whatever reason; a motion is a
+    false alarm.
 
     Raises:
         ToolkitError: the capture has no truth, or its goal image no true masks.
@@ -32,8 +35,11 @@ def score(
     answered = {i: estimates[position] for i, position in answers.items()}
     motions = {i: e.T_goal_current for i, e in answered.items() if e.T_goal_current is not None}
     rows: list[Row] = []
-    for instance_id, truth in sorted(counterparts(motions, capture.truth).items()):
-        estimate = answered.get(instance_id)
+    goal_only = capture.only_goal
+    paired = counterparts(motions, capture.truth, capture.only_current, goal_only)
+    for instance_id in sorted(paired):
+        estimate, truth = answered.get(instance_id), paired[instance_id]
+        model = capture.truth[instance_id].model if instance_id in capture.truth else goal_only[instance_id].model
         rows.append(
             Row(
                 cell=cell,
@@ -42,33 +48,27 @@ def score(
                 scene_id=scene_id,
                 scene=capture.name,
                 object=instance_id,
-                object_name=truth.model.name,
+                object_name=model.name,
+                in_current=truth is not None,
                 weights=dict(weights or {}),
-                symmetry=symmetry_of(truth.model),
+                symmetry=symmetry_of(model),
                 **_answer_fields(estimate, truth),
             )
         )
     return rows
 
 
-def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str, Any]:
-    if estimate is None:
-        return {"status": "missed", "stage": "segmenter", "reason": "no goal segment covers the object"}
-    fields: dict[str, Any] = {
-        "status": estimate.status,
-        "confidence": estimate.confidence,
-        "ambiguity": estimate.ambiguity,
-        "instance": estimate.instance,
-        "matcher_calls": estimate.matcher_calls,
-        "correspondences": 0 if estimate.correspondences is None else len(estimate.correspondences),
-        "inliers": 0 if estimate.inliers is None else int(estimate.inliers.sum()),
-        "time_ms": dict(estimate.time_ms),
-        "cached": estimate.cached,
-    }
-    if estimate.failure is not None:
-        return {**fields, "stage": estimate.failure.stage, "reason": estimate.failure.reason}
-    assert estimate.T_goal_current is not None
-    error = pose_error(estimate.T_goal_current, truth)
+def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject | None) -> dict[str, Any]:
+    fields = _said(estimate)
+    motion = None if estimate is None else estimate.T_goal_current
+    if truth is None:
+        right = motion is None
+        fields |= {"success": right, "success_sym": right, "success_equivalent": right}
+        return fields if right else {**fields, "reason": "it is not in the current scene, but was given a motion"}
+    if motion is None:
+        return fields
+    error = pose_error(motion, truth)
+    alike = estimate.equivalents if estimate is not None and estimate.equivalents is not None else ()
     return {
         **fields,
         "rotation_error_deg": error.rotation_error_deg,
@@ -77,9 +77,26 @@ def _answer_fields(estimate: PoseEstimate | None, truth: TrueObject) -> dict[str
         "translation_error_cm_sym": error.translation_error_cm_sym,
         "success": error.success,
         "success_sym": error.success_sym,
-        "success_equivalent": error.success_sym
-        or any(
-            pose_error(T, truth).success_sym for T in (() if estimate.equivalents is None else estimate.equivalents)
-        ),
-        "T_goal_current": estimate.T_goal_current.tolist(),
+        "success_equivalent": error.success_sym or any(pose_error(T, truth).success_sym for T in alike),
+    }
+
+
+def _said(estimate: PoseEstimate | None) -> dict[str, Any]:
+    """What the pipeline said of an object, whatever is true of it."""
+    if estimate is None:
+        return {"status": "missed", "stage": "segmenter", "reason": "no goal segment covers the object"}
+    failure, motion = estimate.failure, estimate.T_goal_current
+    return {
+        "status": estimate.status,
+        "stage": failure.stage if failure else None,
+        "reason": failure.reason if failure else None,
+        "T_goal_current": None if motion is None else motion.tolist(),
+        "confidence": estimate.confidence,
+        "ambiguity": estimate.ambiguity,
+        "instance": estimate.instance,
+        "matcher_calls": estimate.matcher_calls,
+        "correspondences": 0 if estimate.correspondences is None else len(estimate.correspondences),
+        "inliers": 0 if estimate.inliers is None else int(estimate.inliers.sum()),
+        "time_ms": dict(estimate.time_ms),
+        "cached": estimate.cached,
     }

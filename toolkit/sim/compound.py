@@ -29,13 +29,14 @@ def add_compound(client: Client, hulls: Sequence[Path], grow: float = 0.0) -> in
 
 
 @lru_cache(maxsize=512)
-def _pieces(hulls: tuple[Path, ...]) -> list[Any]:
+def convex_pieces(hulls: tuple[Path, ...]) -> list[Any]:
+    """Convex meshes (trimesh) as they are read from files."""
     return [cast(Any, trimesh.load(hull, force="mesh")).convex_hull for hull in hulls]
 
 
 def mass_center(hulls: Sequence[Path]) -> Float:
     """(3,) centre of mass of convex meshes of even density, in their own coordinates."""
-    pieces = _pieces(tuple(hulls))
+    pieces = convex_pieces(tuple(hulls))
     return np.average([piece.center_mass for piece in pieces], axis=0, weights=[abs(piece.volume) for piece in pieces])
 
 
@@ -43,7 +44,7 @@ def mass_center(hulls: Sequence[Path]) -> Float:
 def _obj_text(hulls: tuple[Path, ...], grow: float) -> str:
     lines: list[str] = []
     seen = 0
-    for number, mesh in enumerate(_pieces(hulls)):
+    for number, mesh in enumerate(convex_pieces(hulls)):
         lines.append(f"o piece_{number}")
         vertices = mesh.vertices + grow * mesh.vertex_normals if grow else mesh.vertices
         lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]

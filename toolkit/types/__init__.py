@@ -5,7 +5,7 @@ camera axes (x right, y down, z forward), `T_a_b` is the 4x4 that takes points o
 """
 
 from toolkit.types.arrays import Float, Image, Mask
-from toolkit.types.captures import Capture, ObjectModel, TrueObject
+from toolkit.types.captures import Capture, ObjectModel, Placed, TrueObject
 from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined
 from toolkit.types.gripper import Gripper
 from toolkit.types.images import Camera, Crop, Frame, Segment
@@ -26,6 +26,7 @@ __all__ = [
     "Mask",
     "Matches",
     "ObjectModel",
+    "Placed",
     "PnPSolution",
     "PoseEstimate",
     "Refined",

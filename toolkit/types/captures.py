@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -85,6 +85,26 @@ class TrueObject:
 
 
 @dataclass(frozen=True, eq=False)
+class Placed:
+    """Where one object really is, in one of the two scenes.
+
+    Attributes:
+        model: the object.
+        T_world_model: (4, 4) float64 model to world, metres.
+
+    Raises:
+        ToolkitError: the pose is not rigid.
+    """
+
+    model: ObjectModel
+    T_world_model: Float
+
+    def __post_init__(self) -> None:
+        pose = checked_motion(self.T_world_model, f"T_world_model of {self.model.name}")
+        freeze(self, T_world_model=pose)
+
+
+@dataclass(frozen=True, eq=False)
 class Capture:
     """One task: posed RGB-D frames of the current scene, one RGB image of the goal, and the truth where known.
 
@@ -92,8 +112,10 @@ class Capture:
         name: the capture folder's name.
         current: the current scene's frames, at least one, all with depth, no index twice.
         goal: the goal image.
-        truth: true objects by instance id, or None.
+        truth: true objects that are in both scenes by instance id, or None.
         digest: sha256 of the files it was read from.
+        only_current: true objects that are not in the goal, by instance id.
+        only_goal: true objects that are not in the current scene, by instance id.
 
     Raises:
         ToolkitError: the current frames are not as said.
@@ -104,6 +126,8 @@ class Capture:
     goal: Frame
     truth: Mapping[int, TrueObject] | None
     digest: str
+    only_current: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
+    only_goal: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
 
     def __post_init__(self) -> None:
         require(len(self.current) > 0, f"capture {self.name}: there is no current frame")

@@ -73,6 +73,19 @@ def box(size: Float, rects: Sequence[Rect]) -> Surface:
     return Surface(vertices, uv, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), (vertices,))
 
 
+def panel(corner: Float, along: Float, up: Float, rect: Rect, cell: float = 0.3) -> Surface:
+    """A flat rectangle, seen from where `along` (3,) turns to `up` (3,) counter-clockwise, in cells of about `cell`.
+
+    Small triangles, because TinyRenderer drops those that reach behind the camera.
+    """
+    columns, rows = (max(1, round(float(np.linalg.norm(side)) / cell)) + 1 for side in (along, up))
+    v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
+    vertices = corner + u[..., None] * along + v[..., None] * up
+    u0, v0, u1, v1 = rect
+    uv = np.stack([u0 + (u1 - u0) * u, v0 + (v1 - v0) * v], axis=-1)
+    return Surface(vertices.reshape(-1, 3), uv.reshape(-1, 2), _grid(rows, columns), (vertices.reshape(-1, 3),))
+
+
 def lathe(profile: Float, rect: Rect, segments: int = 48, hollow: bool = False) -> Surface:
     """Turn a (P, 2) profile of (radius, z), listed so that the outside lies to its right, about the z axis.
 
@@ -171,13 +184,18 @@ def _outer_shell(points: Float) -> Float:
 
 def obj_text(surface: Surface, texture: str) -> tuple[str, str]:
     """OBJ and MTL text of a surface painted with `texture`."""
+    material = f"newmtl material_0\nKa 1 1 1\nKd 1 1 1\nmap_Kd {texture}\n"
+    return "mtllib textured.mtl\nusemtl material_0\n" + bare_obj_text(surface), material
+
+
+def bare_obj_text(surface: Surface) -> str:
+    """OBJ text of a surface that names no texture."""
     normals = _normals(surface)
-    lines = ["mtllib textured.mtl", "usemtl material_0"]
-    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in surface.vertices.tolist()]
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in surface.vertices.tolist()]
     lines += [f"vt {u:.6f} {v:.6f}" for u, v in surface.uv.tolist()]
     lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in normals.tolist()]
     lines += [f"f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}" for a, b, c in (surface.faces + 1).tolist()]
-    return "\n".join(lines) + "\n", f"newmtl material_0\nKa 1 1 1\nKd 1 1 1\nmap_Kd {texture}\n"
+    return "\n".join(lines) + "\n"
 
 
 def _normals(surface: Surface) -> Float:

@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from toolkit.data.table import HALF_SIDE_M
 from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
@@ -168,7 +167,7 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)
-        if np.abs(Footprint.of(goal).center).max() > HALF_SIDE_M:
+        if not self._task.table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         asked = GraspRequest.of(request, self._model.gripper, self.config.approach_m)
         grasps = self._grasper.grasp(asked, self._moves)

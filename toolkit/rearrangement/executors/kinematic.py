@@ -10,9 +10,9 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation, Slerp
 from typing_extensions import TypeVar
 
+from toolkit.data.cameras import home_camera
 from toolkit.data.layout import RestingObject, resting_poses
-from toolkit.data.table import HALF_SIDE_M
-from toolkit.data.tabletop import Studio, TabletopScene, home_camera
+from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import make_transform, transform_points
 from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.resting import settle
@@ -65,9 +65,10 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""
         self.close()
+        self._table = task.table
         self._poses = list(task.current)
         self._rests: list[list[RestingObject]] = [resting_poses(asset) for asset in task.assets]
-        self._home = home_camera(task.config)
+        self._home = home_camera(task.config.resolution)
         with ExitStack() as opened:
             self._solids = opened.enter_context(closing(Solids([asset.hulls for asset in task.assets])))
             for number, pose in enumerate(self._poses):
@@ -128,7 +129,7 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
             opens, wide = 100 * width, 100 * footprint.width
             return Failure("executor", f"the object is {wide:.1f} cm wide, the gripper opens {opens:.1f} cm")
         goal = transform_points(request.T_place_pick, request.points)
-        if np.abs(Footprint.of(goal).center).max() > HALF_SIDE_M:
+        if not self._table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         return None
 

@@ -51,6 +51,7 @@ def write_report(run: Path) -> Path:
         confidences=confidence_curves(rows, colors),
         ambiguous=_ambiguous(rows),
         times=time_by_stage(summaries),
+        one_sided=any(summary.absent for summary in summaries),
         comparisons=compare_cells(rows),
         attribution=remainder(summaries),
         cases=_cases(run),

@@ -56,7 +56,7 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
         for place, (field, label, low, high, threshold) in enumerate(panels, start=1):
             axes: Any = figure.add_subplot(1, 2, place)
             for cell, color in colors.items():
-                values = np.sort(errors([row for row in rows if row.cell == cell], field))
+                values = np.sort(errors([row for row in rows if row.cell == cell and row.in_current], field))
                 share = np.arange(1, len(values) + 1) / len(values)
                 seen = np.isfinite(values)
                 last = share[seen][-1] if seen.any() else 0.0
@@ -102,7 +102,7 @@ def confidence_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
         risk, reliability = figure.subplots(1, 2)
         for cell, own in stated.items():
             sure = np.array([0.0 if row.confidence is None else row.confidence for row in own])
-            right = np.array([row.success_sym for row in own])
+            right = np.array([row.success_sym and row.in_current for row in own])
             order = np.argsort(-sure, kind="stable")
             answered = np.arange(1, len(own) + 1)
             risk.plot(answered / len(own), np.cumsum(~right[order]) / answered, color=colors[cell], lw=2)

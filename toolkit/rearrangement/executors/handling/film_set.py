@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from toolkit.data.tabletop import Studio, TabletopScene, filming_camera
+from toolkit.data.cameras import filming_camera
+from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.paths import cache_root
 from toolkit.sim.bench import Bench
 from toolkit.sim.robot import Robot
@@ -21,7 +22,7 @@ class FilmSet:
 
     def __init__(self, task: TabletopScene, model: RobotModel, T_world_base: Float) -> None:
         self._studio = Studio(task, cache_root())
-        self._camera = filming_camera(task.config)
+        self._camera = filming_camera(task.config.resolution)
         self._robot = Robot(self._studio.client, model, T_world_base, pictures=True)
 
     def picture(self, bench: Bench) -> Image:
