@@ -9,9 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from typing_extensions import TypeVar
 
 from toolkit.errors import ToolkitError, suggest
 
@@ -25,14 +26,18 @@ class PluginConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Plugin:
-    """Base of every stage implementation.
+ConfigT = TypeVar("ConfigT", bound=PluginConfig, default=PluginConfig, covariant=True)
+
+
+class Plugin(Generic[ConfigT]):
+    """Base of every stage implementation: `class Mine(Plugin[MineConfig], Matcher)`, with the stage's Protocol.
 
     Attributes:
         stage: the stage it implements, singular, as on the command line.
         name: how users choose it.
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
-        Config: its settings.
+        Config: the class of its settings, which is what stands in the brackets; or set by hand.
+        config: its settings.
         weights: names of the weight cards of every checkpoint that its settings can choose.
         cards: cards of its checkpoints that the toolkit does not know; they state the licence, and
             `toolkit.weights.resolve.resolve_weights` finds and fetches what they name.
@@ -45,8 +50,17 @@ class Plugin:
     weights: ClassVar[tuple[str, ...]] = ()
     cards: ClassVar[tuple[WeightCard, ...]] = ()
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
-        self.config = config if config is not None else self.Config()
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "Config" not in vars(cls):
+            for base in vars(cls).get("__orig_bases__", ()):
+                if issubclass(get_origin(base) or object, Plugin):
+                    (config,) = get_args(base)
+                    # Of a family of plugins, the settings that all members have.
+                    cls.Config = getattr(config, "__bound__", config)
+
+    def __init__(self, config: ConfigT | None = None) -> None:
+        self.config = config if config is not None else cast(ConfigT, self.Config())
 
     def check_ready(self) -> None:
         """Raise ToolkitError when something it needs (a checkpoint, a device) cannot be had.
@@ -129,6 +143,12 @@ class Registry(Generic[StageT]):
             ) from error
         if not (isinstance(loaded, type) and issubclass(loaded, Plugin)):
             raise ToolkitError(f"{self.stage} '{name}' from {entries[0].origin} is not a toolkit Plugin class")
+        lacking = sorted(getattr(loaded, "__abstractmethods__", ()))
+        if lacking:
+            raise ToolkitError(
+                f"{self.stage} '{name}' from {entries[0].origin} lacks {' and '.join(lacking)}; "
+                "toolkit.stages says what each must do"
+            )
         return loaded
 
     def create(self, name: str, settings: dict[str, Any] | None = None) -> StageT:

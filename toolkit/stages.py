@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.stages import (
     ASSOCIATORS,
     DESCRIPTORS,
@@ -76,6 +77,7 @@ __all__ = [
     "Segmenter",
     "Traversal",
     "register_module",
+    "registry_of",
 ]
 
 REGISTRIES: dict[str, Registry[Any]] = {
@@ -97,6 +99,17 @@ REGISTRIES: dict[str, Registry[Any]] = {
     )
 }
 """Singular stage name -> registry, in pipeline order."""
+
+
+def registry_of(stage: str) -> Registry[Any]:
+    """The registry of a stage.
+
+    Raises:
+        ToolkitError: there is no such stage; the nearest is offered.
+    """
+    if stage not in REGISTRIES:
+        raise ToolkitError(f"unknown stage '{stage}'{suggest(stage, list(REGISTRIES))}")
+    return REGISTRIES[stage]
 
 
 def register_module(module: Any, origin: str) -> int:

@@ -24,7 +24,9 @@ MODULES: dict[str, tuple[str, ...]] = {
         "rearrangement.planners.puzzles.rollout",
     ),
     "Experiments": (
-        *(f"harness.{name}" for name in ("experiment", "ablate", "rearrange", "attribution", "runs", "merge", "cache")),
+        *(f"harness.{name}" for name in ("experiment", "drive", "kinds", "ablate", "rearrange", "attribution")),
+        *(f"harness.{name}" for name in ("runs", "merge", "cache")),
+        "settings",
         "parallel",
     ),
     "Rows and figures": (

@@ -13,13 +13,18 @@ from pathlib import Path
 import cv2
 import pytest
 
+from toolkit import __version__
+from toolkit.harness.experiment import load_experiment
 from toolkit.results.rows import read_rows
+from toolkit.settings import shipped_settings
+
+START = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
 
 
-def toolkit(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+def toolkit(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
-        env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},
+        [sys.executable, "-c", START, *map(str, arguments)],
+        env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1", **environment},
         cwd=folder,
         capture_output=True,
         text=True,
@@ -49,6 +54,8 @@ MISTAKES = {
     "a new plugin for no stage": (["plugin", "new", "matchr", "mine"], "did you mean 'matcher'?"),
     "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
     "a check of nothing": (["check", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "several values where one is set": (["check", "index", "numpy", "--set", "a=1,2"], "--set a takes one value here"),
+    "no such list": (["list", "experiment"], "did you mean 'experiments'?"),
     "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
 }
 
@@ -80,6 +87,39 @@ def test_every_implementation_is_listed_and_shown():
     shown = toolkit("show", "matcher", "sift")
     assert "ratio" in shown.stdout and "RootSIFT" in shown.stdout and "weights" not in shown.stdout
     assert "non-commercial" in toolkit("show", "grasp", "contact_graspnet").stdout
+
+
+def test_every_shipped_experiment_is_listed_with_its_description_and_file():
+    listed = toolkit("list", "experiments", COLUMNS="300")
+    assert listed.returncode == 0, listed.stderr
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in listed.stdout.splitlines() if "│" in line]
+    shipped = shipped_settings()
+    assert lines == [[name, load_experiment(name).description, path.name] for name, path in shipped.items()]
+    assert str(shipped["quick"].parent) in listed.stdout
+
+
+def test_the_version_is_said_without_a_command():
+    done = toolkit("--version")
+    assert (done.returncode, done.stdout) == (0, f"toolkit {__version__}\n")
+
+
+COMPLETIONS = {
+    "ablate pap": {"paper_table1", "paper_table2"},
+    "ablate --matcher si": {"sift"},
+    "ablate --goal-segmenter or": {"oracle"},
+    "rearrange --planner op": {"optimal"},
+    "show mat": {"matcher"},
+    "show matcher xf": {"xfeat_lighterglue"},
+    "list ex": {"executor", "experiments"},
+    "view somewhere --experiment qu": {"quick"},
+}
+
+
+@pytest.mark.parametrize("line", COMPLETIONS)
+def test_the_shell_completes_names(line):
+    words = ["toolkit", *line.split(" ")]
+    asked = {"_TOOLKIT_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    assert set(toolkit(**asked).stdout.split()) == COMPLETIONS[line]
 
 
 def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):

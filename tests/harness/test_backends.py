@@ -17,10 +17,11 @@ import pytest
 import yaml
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.ablate import run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import load_experiment
 from toolkit.harness.merge import merge_shards
-from toolkit.harness.rearrange import run_rearrangement
+from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions, Shard
 from toolkit.harness.worker import WorkerSetup
 from toolkit.parallel import open_workers
@@ -107,7 +108,7 @@ def reference(folder):
     os.chdir(folder)
     try:
         (folder / "flag").touch()
-        run = run_experiment(load_experiment("small.yaml"), RunOptions(out=Path("reference"), use_cache=False))
+        run = drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=Path("reference"), use_cache=False))
         return folder / run
     finally:
         os.chdir(before)
@@ -125,7 +126,7 @@ def test_a_killed_worker_changes_nothing(backend, folder, reference, tmp_path, m
     (folder / "flag").unlink()
     heard = Heard()
     options = RunOptions(out=tmp_path / "run", workers=2, backend=backend, use_cache=False)
-    run = run_experiment(load_experiment("small.yaml"), options, heard)
+    run = drive(Ablation(), load_experiment("small.yaml"), options, heard)
     assert (folder / "flag").exists(), "no worker was killed"
     assert lines(run) == lines(reference)
     assert len(heard.lines) == (backend == "loky")
@@ -206,7 +207,9 @@ def wait_for(ready, seconds=60):
 def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TOOLKIT_CACHE", os.path.relpath(os.environ["TOOLKIT_CACHE"]))
-    runs = [run_experiment(load_experiment("small.yaml"), RunOptions(out=tmp_path / str(n), workers=n)) for n in (2, 1)]
+    runs = [
+        drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=tmp_path / str(n), workers=n)) for n in (2, 1)
+    ]
     assert lines(runs[0]) == lines(runs[1]) == lines(reference)
     assert all(json.loads(line)["cached"] for line in (runs[1] / "rows.jsonl").read_text().splitlines())
 
@@ -307,8 +310,8 @@ def shards(folder, reference, tmp_path_factory):
     try:
         for number in (1, 2):
             options = RunOptions(out=out / str(number), shard=Shard(number, 2))
-            run_experiment(load_experiment("small.yaml"), options)
-        run_experiment(load_experiment("small.yaml"), RunOptions(out=out / "whole"))
+            drive(Ablation(), load_experiment("small.yaml"), options)
+        drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=out / "whole"))
     finally:
         os.chdir(before)
     return out
@@ -414,9 +417,10 @@ def test_rearrangements_shard_too(folder, tmp_path, monkeypatch):
     changes = {"dataset.scenes": [2], "pipeline.views": ["all"], "rearrange.rounds": [1]}
     loaded = load_experiment("small.yaml", changes, rearranges=True)
     runs = [
-        run_rearrangement(loaded, RunOptions(out=tmp_path / str(number), shard=Shard(number, 2))) for number in (1, 2)
+        drive(Rearrangement(), loaded, RunOptions(out=tmp_path / str(number), shard=Shard(number, 2)))
+        for number in (1, 2)
     ]
-    whole = run_rearrangement(loaded, RunOptions(out=tmp_path / "whole"))
+    whole = drive(Rearrangement(), loaded, RunOptions(out=tmp_path / "whole"))
     assert lines(merge_shards(runs, tmp_path / "merged")) == lines(whole)
     with pytest.raises(ToolkitError, match="fewer scenes than shards"):
-        run_rearrangement(loaded, RunOptions(out=tmp_path / "none", shard=Shard(3, 3)))
+        drive(Rearrangement(), loaded, RunOptions(out=tmp_path / "none", shard=Shard(3, 3)))

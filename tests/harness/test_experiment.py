@@ -5,7 +5,8 @@ import textwrap
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.experiment import expand, load_experiment, parse_set, shipped_experiments
+from toolkit.harness.experiment import expand, load_experiment
+from toolkit.settings import parse_set, shipped_settings
 
 BASE = """
 name: mine
@@ -32,7 +33,7 @@ def write(tmp_path):
     return _write
 
 
-@pytest.mark.parametrize("name", list(shipped_experiments()))
+@pytest.mark.parametrize("name", list(shipped_settings()))
 def test_shipped_experiments_are_valid(name):
     assert load_experiment(name).name == name
     assert expand(load_experiment(name))
@@ -82,6 +83,7 @@ def test_named_cells_multiply_with_the_sweep(write):
         (BASE + "  pnp: [", {}, r"mine.yaml', line \d+"),
         ("- a list", {}, "must be a mapping"),
         (BASE + "sceens: 3\n", {}, "unknown setting 'sceens'"),
+        (BASE + "sweep:\n", {"pipeline.matcher": ["sift"]}, "setting 'sweep'"),
         (BASE, {"pipeline.matcher": ["sfit"]}, "unknown matcher 'sfit'; did you mean 'sift'"),
         (BASE, {"pipeline.matchr": ["sift"]}, "unknown setting 'matchr'; did you mean 'matcher'"),
         (BASE, {"pipeline.matcher.ratoi": [1]}, "unknown setting 'ratoi'; did you mean 'ratio'"),
@@ -103,6 +105,13 @@ def test_an_unknown_experiment_is_answered_with_the_nearest(tmp_path):
         load_experiment("quikc")
     with pytest.raises(ToolkitError, match="cannot be read"):
         load_experiment(str(tmp_path / "absent.yaml"))
+
+
+def test_a_file_that_is_no_text_is_one_sentence(tmp_path):
+    (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\x00\xff")
+    with pytest.raises(ToolkitError, match="not YAML") as error:
+        load_experiment(str(tmp_path / "binary.yaml"))
+    assert "\n" not in str(error.value)
 
 
 def test_set_options_are_yaml():

@@ -15,9 +15,10 @@ from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, rotation_z
-from toolkit.harness.ablate import run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import expand, load_experiment
-from toolkit.harness.rearrange import run_rearrangement
+from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions
 from toolkit.perception.database import Database
 from toolkit.perception.regions import lift_segment
@@ -27,7 +28,7 @@ from toolkit.rearrangement.executors.kinematic import Kinematic
 from toolkit.rearrangement.sight import SightSettings, correct, look
 from toolkit.results.completion import MoveRow, summarize_completion
 from toolkit.results.metrics import pose_error
-from toolkit.results.report.completion_page import failure_table
+from toolkit.results.report.page import failures
 from toolkit.results.rows import read_rows_as
 from toolkit.stages import PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment
@@ -58,8 +59,10 @@ def lines(run):
 
 def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
     runs = [
-        run_rearrangement(
-            load_experiment(str(experiment)), RunOptions(out=tmp_path / str(n), workers=n, use_cache=n > 1)
+        drive(
+            Rearrangement(),
+            load_experiment(str(experiment)),
+            RunOptions(out=tmp_path / str(n), workers=n, use_cache=n > 1),
         )
         for n in (1, 2)
     ]
@@ -77,26 +80,26 @@ def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
     # What a killed run leaves is taken up again.
     killed = runs[0]
     (killed / "rows.jsonl").write_text("\n".join((killed / "rows.jsonl").read_text().splitlines()[:3]))
-    run_rearrangement(load_experiment(str(experiment)), RunOptions(out=killed, resume=True))
+    drive(Rearrangement(), load_experiment(str(experiment)), RunOptions(out=killed, resume=True))
     assert lines(killed) == lines(runs[1])
 
     # The first round of several is what one step gives.
     one = load_experiment(str(experiment), {"rearrange.rounds": [1]})
-    one_step = read_rows_as(MoveRow, run_rearrangement(one, RunOptions(out=tmp_path / "one")) / "rows.jsonl")
+    one_step = read_rows_as(MoveRow, drive(Rearrangement(), one, RunOptions(out=tmp_path / "one")) / "rows.jsonl")
     assert [row.success_sym for row in one_step] == [row.right_after[0] for row in rows]
     assert summarize_completion(rows)[0].completion_sym_one_step == summarize_completion(one_step)[0].completion_sym
 
 
 def test_objects_too_wide_for_the_gripper_are_named_and_the_run_goes_on(experiment, tmp_path):
     narrow = {"rearrange.executor.gripper_width_m": [0.005], "dataset.scenes": [1]}
-    run = run_rearrangement(load_experiment(str(experiment), narrow), RunOptions(out=tmp_path / "run"))
+    run = drive(Rearrangement(), load_experiment(str(experiment), narrow), RunOptions(out=tmp_path / "run"))
     rows = read_rows_as(MoveRow, run / "rows.jsonl")
     assert not any(row.success_sym for row in rows)
     wide = [row for row in rows if row.stage == "executor"]
     assert wide and all("cm wide, the gripper opens 0.5 cm" in row.reason for row in wide)
     # What such an object stands in the way of is not tried.
     assert all("which cannot be moved" in row.reason for row in rows if row not in wide)
-    reasons = {(cell, stage): (reason, count) for cell, stage, reason, count in failure_table(rows)}
+    reasons = {(cell, stage): (reason, count) for cell, stage, reason, count in failures(rows)}
     assert reasons["small", "executor"] == ("the object is N cm wide, the gripper opens N cm", len(wide))
     assert "the gripper opens N cm" in (run / "report.html").read_text()
 
@@ -116,13 +119,13 @@ def test_mistakes_are_named_before_any_work(case, experiment, tmp_path):
     change, said = MISTAKES[case]
     experiment.write_text(yaml.safe_dump({**yaml.safe_load(experiment.read_text()), **change}))
     with pytest.raises(ToolkitError, match=said):
-        run_rearrangement(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+        drive(Rearrangement(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
 def test_ablate_sends_rearrangements_on(experiment, tmp_path):
     with pytest.raises(ToolkitError, match="run it with `toolkit rearrange`"):
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+        drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
 
 
 def test_any_experiment_can_be_rearranged_and_stages_sweep():

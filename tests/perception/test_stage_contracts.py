@@ -115,7 +115,7 @@ def test_turned_crops_match_where_they_were(quarters):
     class Pixels(TurningMatcher):
         """Matches every tenth pixel of an object to the same pixel, where both images are equal."""
 
-        Config = TurningConfig
+        crop_size = 64
 
         def extract_upright(self, crops):
             return crops

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from toolkit.errors import ToolkitError
 from toolkit.perception.indexes.numpy import NumpyIndex
 from toolkit.perception.retrieval.brute_force import BruteForce
 from toolkit.perception.retrieval.instance_vote import InstanceVote
-from toolkit.plugin_kit.conformance import check_plugin, checks_of
+from toolkit.plugin_kit.conformance import check_plugin, checks_of, general, kit
 from toolkit.rearrangement.planners.optimal import Optimal
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.stages import REGISTRIES
@@ -31,15 +32,26 @@ def notes(plugin, **settings):
 
 
 def test_every_stage_has_checks_of_its_own():
-    assert all(len(checks_of(stage)) > len(checks_of("index")) - 5 > 0 for stage in REGISTRIES)
+    for stage in REGISTRIES:
+        own = [check for check in checks_of(stage) if check not in general.CHECKS]
+        assert checks_of(stage) == [*general.CHECKS, *own]
+        assert len(own) >= 2 and {check.__module__ for check in own} == {kit.STAGE_CHECKS[stage]}
     with pytest.raises(ToolkitError, match="unknown stage 'matchr'"):
         checks_of("matchr")
 
 
-def test_a_sound_plugin_passes_with_time_and_memory():
+def test_a_sound_plugin_passes_every_check():
     outcomes = check_plugin(NumpyIndex)
+    assert [outcome.check for outcome in outcomes] == [kit.title(check) for check in checks_of("index")]
     assert all(outcome.passed for outcome in outcomes)
-    assert all(outcome.seconds >= 0 and outcome.grown_mb >= 0 for outcome in outcomes)
+
+
+def test_an_outcome_has_the_time_and_memory_of_its_check(monkeypatch):
+    clock, peaks = iter([10.0, 12.5]), iter([100.0, 160.0])
+    monkeypatch.setattr(kit, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr(kit, "_peak_mb", lambda: next(peaks))
+    outcome = kit.run_check(lambda subject: "a remark", kit.Subject(NumpyIndex))
+    assert outcome == kit.Outcome("<lambda>", True, "a remark", 2.5, 60.0)
 
 
 class Broken(NumpyIndex):

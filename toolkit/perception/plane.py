@@ -14,13 +14,13 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
+from toolkit.perception.robust import deviation
 from toolkit.types import Camera, Float, Frame, Mask
 
 _SAMPLES = 3000
 _HYPOTHESES = 256
 _CONSENSUS_M = 0.008
 _LEAST_CONSENSUS = 0.15
-_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _refine(coefficients: Float, rays: Float, depth: Float) -> Plane:
         inliers = np.abs(inverse - plane.inverse_depth(rays)) < reach
         solution = np.linalg.lstsq(rays[inliers], inverse[inliers], rcond=None)[0]
         residual = inverse[inliers] - rays[inliers] @ solution
-        plane = Plane(solution, float(_MAD_TO_SIGMA * np.median(np.abs(residual))))
+        plane = Plane(solution, float(deviation(residual)))
         reach = np.minimum(reach, max(3 * plane.noise, 1e-4))
     return plane
 

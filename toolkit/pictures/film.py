@@ -46,7 +46,7 @@ class Filmable(Protocol):
         ...
 
     def state(self) -> Mapping[int, Float] | None:
-        """See Executor."""
+        """True (4, 4) model-to-world poses by instance id where they are known, as an executor's."""
         ...
 
 

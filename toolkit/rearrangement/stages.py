@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -13,6 +14,7 @@ from toolkit.types import Failure, Float, Frame
 class Schedule(Protocol):
     """The moves of one rearrangement, decided one at a time."""
 
+    @abstractmethod
     def next(self, table: Table) -> Move | Finished:
         """Return the next move from where things stand now, as they are seen or believed after the last move.
 
@@ -25,6 +27,7 @@ class Schedule(Protocol):
 class Planner(Protocol):
     """Decides which object is moved where, and when (Sec. Method B)."""
 
+    @abstractmethod
     def start(self, seed: int) -> Schedule:
         """Begin a rearrangement. The same tables and seed give the same moves."""
         ...
@@ -33,6 +36,7 @@ class Planner(Protocol):
 class Grasper(Protocol):
     """Finds grasps on an object of which only points are known (Sec. Method B)."""
 
+    @abstractmethod
     def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
         """Return grasps that touch nothing else, neither here nor where the object is put; best first.
 
@@ -44,6 +48,7 @@ class Grasper(Protocol):
 class Motion(Protocol):
     """Finds ways for an arm that touch nothing (Sec. Method B)."""
 
+    @abstractmethod
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
 
@@ -59,6 +64,7 @@ class Executor(Protocol):
     grasps the object whose points it is given, and what goes wrong comes back as an `Outcome`.
     """
 
+    @abstractmethod
     def begin(self, task: Any) -> Frame:
         """Take up a task and return its goal image.
 
@@ -68,22 +74,27 @@ class Executor(Protocol):
         """
         ...
 
+    @abstractmethod
     def observe(self) -> list[Frame]:
         """Return RGB-D frames of the table as it is, from the predefined views, the home view first."""
         ...
 
+    @abstractmethod
     def pick_place(self, request: PickPlace) -> Outcome:
         """Pick one object up and put it down elsewhere. A failure is an Outcome, never an exception."""
         ...
 
+    @abstractmethod
     def home(self) -> None:
         """Move out of the cameras' sight."""
         ...
 
+    @abstractmethod
     def state(self) -> Mapping[int, Float] | None:
         """Return the true (4, 4) model-to-world poses by instance id where they are known; else None."""
         ...
 
+    @abstractmethod
     def close(self) -> None:
         """Let go of the task's resources."""
         ...

@@ -12,6 +12,7 @@ from toolkit.perception.plane import fit_plane
 from toolkit.perception.segmenters.tabletop.clusters import cluster_above_plane, is_noisy
 from toolkit.perception.segmenters.tabletop.labels import keep
 from toolkit.perception.segmenters.tabletop.refine import snap_to_colour
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 
@@ -24,7 +25,7 @@ class DepthPlaneConfig(PluginConfig):
     min_pixels: int = Field(60, ge=1, description="Smaller clusters are dropped.")
 
 
-class DepthPlaneSegmenter(Plugin):
+class DepthPlaneSegmenter(Plugin[DepthPlaneConfig], Segmenter):
     """Table plane by RANSAC; what stands above it, clustered in plan; borders moved to where the colour changes.
 
     The threshold above the table follows the plane's own noise, so that a fork is found in clean depth and no bump in
@@ -33,8 +34,6 @@ class DepthPlaneSegmenter(Plugin):
 
     stage = "segmenter"
     name = "depth_plane"
-    Config = DepthPlaneConfig
-    config: DepthPlaneConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the clusters above the table; raises ToolkitError without depth or where no table is in it."""

@@ -13,6 +13,7 @@ from toolkit.perception.segmenters.networks.proposals import propose
 from toolkit.perception.segmenters.networks.sam import Sam
 from toolkit.perception.segmenters.table_appearance import TableMemory, blob_labels
 from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 from toolkit.weights.resolve import file_digest, resolve_weights
@@ -28,7 +29,7 @@ class MobileSamConfig(PluginConfig):
     decoder: Path | None = Field(None, description="An ONNX mask decoder of your own, instead of MobileSAM's.")
 
 
-class MobileSamSegmenter(Plugin):
+class MobileSamSegmenter(Plugin[MobileSamConfig], Segmenter):
     """MobileSAM (Zhang et al., 2023) on onnxruntime, asked inside what stands on the table.
 
     In an RGB-D frame that is what `depth_plane` finds, in a colour image what `table_appearance` finds. Where these are
@@ -39,11 +40,9 @@ class MobileSamSegmenter(Plugin):
 
     stage = "segmenter"
     name = "mobile_sam"
-    Config = MobileSamConfig
     weights = ("mobile_sam-encoder", "mobile_sam-decoder")
-    config: MobileSamConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: MobileSamConfig | None = None) -> None:
         super().__init__(config)
         self._table = TableMemory()
 

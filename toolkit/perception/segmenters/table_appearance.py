@@ -12,6 +12,7 @@ from toolkit.perception.segmenters.tabletop.blobs import find_blobs
 from toolkit.perception.segmenters.tabletop.difference import difference
 from toolkit.perception.segmenters.tabletop.split import split_touching
 from toolkit.perception.segmenters.tabletop.table_map import TableScan, render_table, scan_table
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 
@@ -24,7 +25,7 @@ class TableAppearanceConfig(PluginConfig):
     split: bool = Field(True, description="Split touching objects while there are fewer than the current frames show.")
 
 
-class TableAppearanceSegmenter(Plugin):
+class TableAppearanceSegmenter(Plugin[TableAppearanceConfig], Segmenter):
     """What differs from the table's look, learnt from the current frames, where depth says what is table (RGB only).
 
     The empty table is drawn in the image's camera, compared after a photometric fit, and the borders of what differs
@@ -35,10 +36,8 @@ class TableAppearanceSegmenter(Plugin):
 
     stage = "segmenter"
     name = "table_appearance"
-    Config = TableAppearanceConfig
-    config: TableAppearanceConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: TableAppearanceConfig | None = None) -> None:
         super().__init__(config)
         self._table = TableMemory()
 

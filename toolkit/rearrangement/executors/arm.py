@@ -15,7 +15,7 @@ from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.reach import Reach, Way
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
-from toolkit.rearrangement.stages import GRASPERS, MOTION
+from toolkit.rearrangement.stages import GRASPERS, MOTION, Executor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.sim.bench import STEP_S, Bench, Touch
 from toolkit.sim.bullet import require_pybullet
@@ -49,7 +49,7 @@ class ArmConfig(PluginConfig):
     off_deg: float = Field(10.0, gt=0, description="... and so has one that is turned by more than this.")
 
 
-class Arm(Plugin):
+class Arm(Plugin[ArmConfig], Executor):
     """Picks and places with a simulated Gen3 or Panda; it looks through the predefined views.
 
     Planning knows where things are and what they are shaped like, as the simulator does; grasps come from the seen
@@ -58,8 +58,6 @@ class Arm(Plugin):
 
     stage = "executor"
     name = "arm"
-    Config = ArmConfig
-    config: ArmConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     on_step: Callable[[], None] | None = None
     """Called at every step of a motion, for films."""

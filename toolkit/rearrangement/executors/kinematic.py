@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation, Slerp
+from typing_extensions import TypeVar
 
 from toolkit.data.layout import RestingObject, resting_poses
 from toolkit.data.table import HALF_SIDE_M
@@ -16,6 +17,7 @@ from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.resting import settle
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
+from toolkit.rearrangement.stages import Executor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.solids import Solids
@@ -39,13 +41,14 @@ class KinematicConfig(PluginConfig):
     touch_m: float = Field(0.001, ge=0, description="Objects that cut into each other deeper than this collide.")
 
 
-class Kinematic(Plugin):
+KinematicConfigT = TypeVar("KinematicConfigT", bound=KinematicConfig, default=KinematicConfig, covariant=True)
+
+
+class Kinematic(Plugin[KinematicConfigT], Executor):
     """Simulator without an arm: an object is lifted, carried over the others and lowered, checked all along the way."""
 
     stage = "executor"
     name = "kinematic"
-    Config = KinematicConfig
-    config: KinematicConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     on_step: Callable[[], None] | None = None
     """Called at every step of a motion, for films."""

@@ -18,6 +18,7 @@ from toolkit.rearrangement.grasps.geometry.room import (
 )
 from toolkit.rearrangement.grasps.geometry.surface import Contacts, antipodal_pairs, normals, wall_pairs
 from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.rearrangement.stages import Grasper
 from toolkit.registry import Plugin
 from toolkit.types import Failure, Float
 
@@ -29,13 +30,11 @@ class AntipodalConfig(RoomConfig):
     contacts: int = Field(300, ge=1, description="Surface points tried as a first contact.")
 
 
-class Antipodal(Plugin):
+class Antipodal(Plugin[AntipodalConfig], Grasper):
     """Opposite surface points in force closure; approaches from above first; clear of table and neighbours."""
 
     stage = "grasp"
     name = "antipodal"
-    Config = AntipodalConfig
-    config: AntipodalConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
         """See Grasper."""

@@ -22,6 +22,7 @@ from toolkit.rearrangement.grasps.geometry.room import (
 )
 from toolkit.rearrangement.grasps.geometry.surface import span
 from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.rearrangement.stages import Grasper
 from toolkit.registry import Plugin
 from toolkit.types import Failure, Float
 from toolkit.weights.load import fill, read_tensors
@@ -42,14 +43,12 @@ class ContactGraspnetConfig(RoomConfig):
     least_score: float = Field(0.2, ge=0, le=1, description="Contacts below this are not believed.")
 
 
-class ContactGraspnet(Plugin):
+class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
     """Contacts, closing lines, approaches and scores by the network; openings measured on the cloud."""
 
     stage = "grasp"
     name = "contact_graspnet"
     weights = ("contact_graspnet",)
-    Config = ContactGraspnetConfig
-    config: ContactGraspnetConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def check_ready(self) -> None:
         """Load the checkpoint, so that a missing or foreign file stops the command before any work."""

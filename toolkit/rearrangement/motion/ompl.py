@@ -16,6 +16,7 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, shortcut
+from toolkit.rearrangement.stages import Motion
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure, Float
 
@@ -32,13 +33,11 @@ class OmplConfig(PluginConfig):
     shortcuts: int = Field(60, ge=0, description="Shortcuts tried on a path that was found.")
 
 
-class Ompl(Plugin):
+class Ompl(Plugin[OmplConfig], Motion):
     """RRT-Connect, then shortcuts. The same problem and seed give the same path, unless time runs out."""
 
     stage = "motion"
     name = "ompl"
-    Config = OmplConfig
-    config: OmplConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def check_ready(self) -> None:
         """See Plugin."""

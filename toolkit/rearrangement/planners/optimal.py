@@ -14,6 +14,7 @@ from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Finished, Item, Move, Plan, Table
 from toolkit.rearrangement.planners.ordering.buffers import nearest_spot
 from toolkit.rearrangement.planners.ordering.order import shortest_order
+from toolkit.rearrangement.stages import Planner, Schedule
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure
 
@@ -176,20 +177,18 @@ class OptimalConfig(PluginConfig):
     tries: int = Field(2, ge=1, description="Failed moves of an object after which it counts as one that cannot move.")
 
 
-class Optimal(Plugin):
+class Optimal(Plugin[OptimalConfig], Planner):
     """Fewest moves: the minimum feedback vertex set of the dependency graph stands aside; shortest order by travel."""
 
     stage = "planner"
     name = "optimal"
-    Config = OptimalConfig
-    config: OptimalConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def start(self, seed: int) -> OptimalSchedule:
         """See Planner; nothing is left to chance."""
         return OptimalSchedule(self.config.tries)
 
 
-class OptimalSchedule:
+class OptimalSchedule(Schedule):
     """Follows a plan as long as things are where they should be, and plans anew where not."""
 
     def __init__(self, tries: int) -> None:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from toolkit.rearrangement.moves import Finished, Item, Move, Table
 from toolkit.rearrangement.planners.ordering.buffers import random_spot
+from toolkit.rearrangement.stages import Planner, Schedule
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure
 
@@ -23,20 +24,18 @@ class PaperConfig(PluginConfig):
     samples: int = Field(200, ge=1, description="Random places tried for a collision-free one.")
 
 
-class Paper(Plugin):
+class Paper(Plugin[PaperConfig], Planner):
     """The paper's greedy loop: fixed order, failure counts, random free places (Algorithm 1)."""
 
     stage = "planner"
     name = "paper"
-    Config = PaperConfig
-    config: PaperConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def start(self, seed: int) -> PaperSchedule:
         """See Planner."""
         return PaperSchedule(self.config, np.random.default_rng(seed))
 
 
-class PaperSchedule:
+class PaperSchedule(Schedule):
     """Algorithm 1, suspended where it moves an object: the next table is line 7's current observation."""
 
     def __init__(self, config: PaperConfig, rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,13 +12,10 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from toolkit.results.completion import MoveRow
-from toolkit.results.rows import CellSummary, Row, errors
+from toolkit.results.rows import CellSummary, JudgedT, Row, errors
 from toolkit.results.stats import wilson_interval
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800", "#888888")
-
-AnyRow = TypeVar("AnyRow", Row, MoveRow)
 
 _RELIABILITY_BINS = 8
 
@@ -74,7 +71,7 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
     return _svg(draw, (10, 3.8))
 
 
-def success_by(rows: Sequence[AnyRow], colors: dict[str, str], key: Callable[[AnyRow], Any], label: str) -> str:
+def success_by(rows: Sequence[JudgedT], colors: dict[str, str], key: Callable[[JudgedT], Any], label: str) -> str:
     """Success with its Wilson interval, by a property of the row."""
 
     def draw(figure: Figure) -> None:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from toolkit.geometry import cubes
 from toolkit.perception.fusion import FusedModel, Patch
 from toolkit.perception.lighting import relit
 from toolkit.perception.refiners.comparing.images import normalized, opponent
@@ -148,8 +149,7 @@ def _evenly(points: Float, want: int) -> np.ndarray:
     order = np.random.default_rng(0).permutation(len(points))
     side, offset = _FINEST_M, points[order] - points.min(axis=0)
     while True:
-        cubes = np.floor(offset / side).astype(np.int64) @ [1, 1 << 20, 1 << 40]
-        first = np.unique(cubes, return_index=True)[1]
+        first = np.unique(cubes(offset, side), return_index=True)[1]
         if len(first) <= want:
             break
         side *= 1.2

@@ -8,6 +8,7 @@ from pydantic import Field
 from toolkit.geometry import make_transform
 from toolkit.rearrangement.moves import Grasp, PickPlace
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Grasper
 from toolkit.types import Failure, Float
 
 
@@ -20,16 +21,14 @@ class TemplateConfig(PluginConfig):
     finger_m: float = Field(0.02, gt=0, description="Room a finger needs.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Grasper):
     """Top-down grasps, every 15 deg, that span the object and have room for both fingers; the narrowest first."""
 
     stage = "grasp"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
-        """Return grasps, the narrowest first, or why there is none; see toolkit.stages.Grasper."""
+        """Return grasps, the narrowest first, or why there is none."""
         if len(request.points) < 10:
             return Failure("grasp", f"only {len(request.points)} points of the object were seen")
         found = [g for angle in np.radians(np.arange(0, 180, 15)) if (g := self._across(request, float(angle)))]

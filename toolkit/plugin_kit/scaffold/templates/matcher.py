@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Matcher
 from toolkit.types import Crop, Float, Matches
 
 
@@ -31,13 +32,11 @@ class Corners:
     patches: Float
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Matcher):
     """Corners (Shi and Tomasi, CVPR 1994) matched by correlation, mutually nearest."""
 
     stage = "matcher"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     @property
     def crop_size(self) -> int:

@@ -8,6 +8,7 @@ from pydantic import Field
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, shortcut
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Motion
 from toolkit.types import Failure, Float
 
 
@@ -20,13 +21,11 @@ class TemplateConfig(PluginConfig):
     goal_share: float = Field(0.2, gt=0, le=1, description="How often the tree grows towards the goal.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Motion):
     """RRT (LaValle, 1998) with shortcuts."""
 
     stage = "motion"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a free path from start to goal, or a Failure that says why not."""

@@ -8,6 +8,7 @@ from pydantic import Field
 from toolkit.rearrangement.footprints import planar_motion
 from toolkit.rearrangement.moves import Finished, Item, Move, Table
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Planner, Schedule
 from toolkit.types import Failure
 
 
@@ -18,20 +19,18 @@ class TemplateConfig(PluginConfig):
     moves: int = Field(4, ge=1, description="Moves an object, at most.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Planner):
     """Greedy: the nearest goal that is free first; without one, an object moves aside to a place drawn at random."""
 
     stage = "planner"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def start(self, seed: int) -> Greedy:
         """Begin a rearrangement."""
         return Greedy(self.config, np.random.default_rng(seed))
 
 
-class Greedy:
+class Greedy(Schedule):
     """The moves of one rearrangement, from where things stand at every call."""
 
     def __init__(self, config: TemplateConfig, rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.geometry import lift
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Segmenter
 from toolkit.types import Frame, Segment
 
 
@@ -21,13 +22,11 @@ class TemplateConfig(PluginConfig):
     min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Segmenter):
     """Connected pixels above the table, whose height is that of most points; z is up in the world. Needs depth."""
 
     stage = "segmenter"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return one Segment an object, from left to right; raises ToolkitError where the frame has no depth."""
