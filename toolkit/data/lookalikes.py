@@ -19,7 +19,7 @@ from toolkit.types import Image
 Lookalikes = Literal["none", "twins", "recolored"]
 
 _HUE_STEPS = 60
-"""A third of OpenCV's circle of 180."""
+"""A third of the hue circle, which is 180 in OpenCV."""
 
 _LEAST_SATURATION = 70
 """Grey turned in hue stays grey: it is given a colour."""

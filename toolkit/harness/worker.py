@@ -188,7 +188,7 @@ _runners: dict[str, CellRunner] = {}
 
 
 def get_runner(cell: Cell, cache: Cache | None) -> CellRunner:
-    """The runner of a cell. Runners stay in their process: a network is loaded once, not once a scene."""
+    """The runner of a cell. Runners stay in their process: a network is loaded once, not once per scene."""
     key = json.dumps([cell.resolved(), str(cache)], sort_keys=True)
     if key not in _runners:
         _runners[key] = make_runner(cell, cache)

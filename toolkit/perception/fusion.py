@@ -55,7 +55,7 @@ class FusedModel:
     """An object as all current frames together show it, in the world of the current scene.
 
     Attributes:
-        points: (N, 3) float32, metres; one a voxel.
+        points: (N, 3) float32, metres; one per voxel.
         colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
         seen_by: (N, V) bool, which of the patches saw the voxel.
         patches: V, one a frame that saw the object.

@@ -61,7 +61,7 @@ class Associator(Protocol):
 
     @abstractmethod
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
-        """Return (R,) int64 instance ids 0..K-1, one a region; every id in that range occurs."""
+        """Return (R,) int64 instance ids 0..K-1, one per region; every id in that range occurs."""
         ...
 
 
@@ -151,7 +151,7 @@ class Matcher(Protocol):
 
     @abstractmethod
     def extract(self, crops: Sequence[Crop]) -> list[Any]:
-        """Return one opaque feature value a crop; computed once and used in every `match` the crop is part of."""
+        """Return one opaque feature value per crop; computed once and used in every `match` the crop is part of."""
         ...
 
     @abstractmethod

@@ -56,7 +56,7 @@ class Film:
     Args:
         executor: what to film.
         path: the MP4 file.
-        every: steps of motion a frame.
+        every: steps of motion per frame.
         on_frame: called at every frame with its time in the film, seconds.
 
     Raises:

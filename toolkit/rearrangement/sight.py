@@ -36,7 +36,7 @@ class Sight:
     Attributes:
         layout: one item an instance, in the order of their ids.
         clouds: by instance, its (N, 3) points.
-        estimates: one a goal object.
+        estimates: one per goal object.
         goal_objects: by instance, the goal object it is taken for.
         failures: by goal object, why it has no motion.
     """

@@ -178,7 +178,7 @@ class CellSummary:
 
     @property
     def total_ms(self) -> float:
-        """Sum of the stages' median times, milliseconds an object."""
+        """Sum of the stages' median times, milliseconds per object."""
         return sum(self.time_ms.values())
 
 
@@ -256,7 +256,7 @@ def _p90(values: Float) -> float:
 
 
 def write_summary(path: Path, summaries: Sequence[object]) -> None:
-    """Write summary.csv: one line a cell, every figure with its interval; summaries are dataclasses."""
+    """Write summary.csv: one line per cell, every figure with its interval; summaries are dataclasses."""
     buffer = io.StringIO()
     lines = [_flat(summary) for summary in summaries]
     keys = list(dict.fromkeys(key for line in lines for key in line))

@@ -49,7 +49,7 @@ class RobotModel:
         home: (J,) joint angles at rest, radians: out of the way, the gripper pointing down.
         hand: link that carries the fingers.
         R_hand_gripper: (3, 3) gripper axes in the hand's: x closes, z approaches.
-        fingers: the joints of the gripper; two are driven, one a side.
+        fingers: the joints of the gripper; two are driven, one per side.
         tips: the two links that touch.
         drive: the drive's value with the gripper open, and closed.
         grip: largest force (N) or torque (Nm) of a driven joint.

@@ -1,4 +1,4 @@
-"""A pool of rendered object views with depth and pose, drawn once and kept: the renderer never holds training up.
+"""A pool of rendered object views with depth and pose, drawn once and kept: training never waits for the renderer.
 
 Every frame is a fresh arrangement on the table, seen by a random camera under a random light, so that occlusion,
 perspective and what lies around an object are as in the benchmark. Depth and pose relate the views of an object.
@@ -46,19 +46,32 @@ _VERSION = 1
 class PoolConfig(PluginConfig):
     """Settings of a pool of views."""
 
-    objects_per_family: int = Field(default=36, ge=1, description="Procedural objects drawn of every category.")
-    objects_per_scene: int = Field(default=12, ge=1, description="Objects on the table together.")
-    frames: int = Field(
-        default=40, ge=2, description="Frames of every scene; each is a new arrangement, camera and light."
+    objects_per_family: int = Field(
+        default=36, ge=1, description="Number of procedural objects that are drawn for every category."
     )
-    elevation_deg: tuple[float, float] = Field(default=(28.0, 65.0), description="Range of the camera's elevation.")
-    distance_m: tuple[float, float] = Field(default=(0.85, 1.3), description="Range of the camera's distance.")
-    focal_px: tuple[float, float] = Field(default=(600.0, 950.0), description="Range of the focal length, 640x480.")
+    objects_per_scene: int = Field(default=12, ge=1, description="Number of objects that stand on the table together.")
+    frames: int = Field(
+        default=40, ge=2, description="Number of frames of every scene; each has a new arrangement, camera and light."
+    )
+    elevation_deg: tuple[float, float] = Field(
+        default=(28.0, 65.0), description="Range of the camera's elevation, in degrees."
+    )
+    distance_m: tuple[float, float] = Field(
+        default=(0.85, 1.3), description="Range of the camera's distance, in metres."
+    )
+    focal_px: tuple[float, float] = Field(
+        default=(600.0, 950.0), description="Range of the focal length at 640x480, in pixels."
+    )
     other_pose: float = Field(
-        default=0.15, ge=0, le=1, description="Share of scenes whose objects rest in another stable pose."
+        default=0.15,
+        ge=0,
+        le=1,
+        description="Share of scenes whose objects rest in a stable pose other than the natural one.",
     )
     seed: int = Field(default=0, ge=0, description="Seed of the pool.")
-    renderer: Renderer = Field(default_factory=best_renderer, description="egl where it loads, else tiny.")
+    renderer: Renderer = Field(
+        default_factory=best_renderer, description="PyBullet's EGL plug-in where it loads, else TinyRenderer."
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +132,7 @@ def describe(trained: Pool, evaluated: Mapping[str, Pool], samples: str, folder:
 
 
 def is_held_out(name: str) -> bool:
-    """Whether an object is kept out of training: a third of all names, the same for ever."""
+    """Whether an object is kept out of training: a third of all names, which never changes."""
     return hashlib.sha256(f"held out: {name}".encode()).digest()[0] % 3 == 0
 
 

@@ -1,4 +1,4 @@
-"""Downloads that resume, and that leave no half file under the final name."""
+"""Downloads that can be resumed, and that never leave part of a file under the final name."""
 
 from __future__ import annotations
 

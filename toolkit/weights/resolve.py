@@ -51,7 +51,7 @@ def resolve_folder(name: str, given: Path | None = None) -> Path:
 
 
 def find_card(name: str) -> WeightCard:
-    """The card called `name`; raises ToolkitError, offering the nearest, where there is none."""
+    """The card called `name`; where there is none, raises ToolkitError and suggests the nearest name."""
     if name not in CARDS:
         raise ToolkitError(f"unknown weights '{name}'{suggest(name, sorted(CARDS))}")
     return CARDS[name]
@@ -71,7 +71,7 @@ def weight_folders() -> list[Path]:
 
 
 def file_digest(path: Path) -> str:
-    """sha256 hex of a file; computed once for every state of it."""
+    """sha256 of a file, hexadecimal; computed again only after the file has changed."""
     status = path.stat()
     return _digest_of_state(path, status.st_mtime_ns, status.st_size)
 

@@ -27,7 +27,8 @@ class JointConfig(PnPConfig):
     """Settings of `jax_joint`."""
 
     prior: Literal["planar", "none"] = Field(
-        "planar", description="Objects turn about the vertical and slide on the table; or move freely."
+        "planar",
+        description="`planar`: objects turn about the vertical and slide on the table; `none`: they move freely.",
     )
 
 

@@ -20,9 +20,19 @@ from toolkit.types import Frame, Segment
 class DepthPlaneConfig(PluginConfig):
     """Settings of the `depth_plane` segmenter."""
 
-    min_height_mm: float = Field(1.5, gt=0, description="What is lower than this is table; more where depth is noisy.")
-    cell_mm: float = Field(5.0, gt=0, description="Cells of the plan; parts two cells apart are two objects.")
-    min_pixels: int = Field(60, ge=1, description="Smaller clusters are dropped.")
+    min_height_mm: float = Field(
+        1.5,
+        gt=0,
+        description="What is lower than this above the table counts as table; where depth is noisy, the limit is "
+        "higher.",
+    )
+    cell_mm: float = Field(
+        5.0,
+        gt=0,
+        description="Side of the cells in which the scene is seen from above; parts that are two cells apart are two "
+        "objects.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Clusters with fewer pixels are dropped.")
 
 
 class DepthPlaneSegmenter(Plugin[DepthPlaneConfig], Segmenter):

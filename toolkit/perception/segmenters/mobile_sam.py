@@ -22,9 +22,13 @@ from toolkit.weights.resolve import file_digest, resolve_weights
 class MobileSamConfig(PluginConfig):
     """Settings of the `mobile_sam` segmenter."""
 
-    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
-    grid_px: int = Field(24, ge=4, description="Pixels between the points the network is asked at.")
+    threshold: float = Field(
+        8.0,
+        gt=0,
+        description="What deviates from the look of the table by more standard deviations than this is an object.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
+    grid_px: int = Field(24, ge=4, description="Distance between the points at which the network is asked, in pixels.")
     encoder: Path | None = Field(None, description="An ONNX image encoder of your own, instead of MobileSAM's.")
     decoder: Path | None = Field(None, description="An ONNX mask decoder of your own, instead of MobileSAM's.")
 

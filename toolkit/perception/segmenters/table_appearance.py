@@ -20,9 +20,16 @@ from toolkit.types import Frame, Segment
 class TableAppearanceConfig(PluginConfig):
     """Settings of the `table_appearance` segmenter."""
 
-    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
-    min_pixels: int = Field(60, ge=1, description="Smaller blobs are dropped.")
-    split: bool = Field(True, description="Split touching objects while there are fewer than the current frames show.")
+    threshold: float = Field(
+        8.0,
+        gt=0,
+        description="What deviates from the look of the table by more standard deviations than this is an object.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Blobs with fewer pixels are dropped.")
+    split: bool = Field(
+        True,
+        description="Whether touching objects are split while there are fewer of them than the current frames show.",
+    )
 
 
 class TableAppearanceSegmenter(Plugin[TableAppearanceConfig], Segmenter):

@@ -44,5 +44,5 @@ def _headline(best: CompletionSummary) -> str:
     low, high = best.completion_sym.interval
     return (
         f"{best.cell} sets {best.completion_sym.value:.0%} of {best.scenes} scenes right "
-        f"(95 % interval {low:.0%} to {high:.0%}) with {best.moves_per_object.value:.2f} moves an object."
+        f"(95 % interval {low:.0%} to {high:.0%}) with {best.moves_per_object.value:.2f} moves per object."
     )

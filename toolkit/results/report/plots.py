@@ -1,4 +1,4 @@
-"""The report's plots, as SVG text. One colour a cell, the same in every plot (Okabe and Ito's palette)."""
+"""The report's plots, as SVG text. One colour per cell, the same in every plot (Okabe and Ito's palette)."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def confidence_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
 
 
 def time_by_stage(summaries: Sequence[CellSummary]) -> str:
-    """Median time an object, stacked by stage."""
+    """Median time per object, stacked by stage."""
 
     def draw(figure: Figure) -> None:
         axes: Any = figure.add_subplot()
@@ -131,7 +131,7 @@ def time_by_stage(summaries: Sequence[CellSummary]) -> str:
             left += width
         axes.set_yticks(range(len(summaries)), [summary.cell for summary in summaries])
         axes.invert_yaxis()
-        axes.set_xlabel("median ms an object (database's share included)")
+        axes.set_xlabel("median ms per object (database's share included)")
         if stages:
             axes.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.28 - 0.1 / len(summaries)))
 

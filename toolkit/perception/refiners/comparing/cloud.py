@@ -143,7 +143,7 @@ def _bottom(points: Float, table: float) -> Float:
 
 
 def _evenly(points: Float, want: int) -> np.ndarray:
-    """(want,) rows of (N, 3) points, one a cube as far as they go round: oblique views leave fewer points behind."""
+    """(want,) rows of (N, 3) points, one per cube as far as they go round: oblique views leave fewer points behind."""
     if len(points) <= want:
         return np.arange(want) % len(points)
     order = np.random.default_rng(0).permutation(len(points))

@@ -30,7 +30,7 @@ def learn_looks(frames: Sequence[Frame], labels: Sequence[NDArray[np.int32]], pl
     Args:
         frames: of the current scene.
         labels: (H, W) label image of every frame, 1..n.
-        places: (n, 2) plan position of every label, metres, one array a frame.
+        places: (n, 2) plan position of every label, metres, one array per frame.
 
     Returns:
         (K, B) float64 log-probability of every colour bin for every object.

@@ -26,7 +26,7 @@ class TableScan:
     """What the current frames' depth says about the table.
 
     Attributes:
-        frames: (frame, (H, W) bool mask of its table pixels), one a frame whose depth shows the table.
+        frames: (frame, (H, W) bool mask of its table pixels), one per frame whose depth shows the table.
         T_world_table: (4, 4) the table's own frame: z = 0 is its surface, z points up from it.
         outline: (M, 2) float64 convex outline in that frame, metres.
         height: of the tallest object, metres.

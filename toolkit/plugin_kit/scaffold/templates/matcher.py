@@ -18,7 +18,7 @@ from toolkit.types import Crop, Float, Matches
 class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
-    crop_size: int = Field(256, ge=64, description="Side of the crops, pixels.")
+    crop_size: int = Field(256, ge=64, description="Side of the crops, in pixels.")
     max_corners: int = Field(300, ge=8, description="Corners kept a crop.")
     patch_px: int = Field(15, ge=5, description="Side of a patch, pixels; odd.")
     min_correlation: float = Field(0.8, ge=0, le=1, description="Patches that agree less are no match.")
@@ -40,7 +40,7 @@ class Template(Plugin[TemplateConfig], Matcher):
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, pixels."""
+        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     def extract(self, crops: Sequence[Crop]) -> list[Corners]:

@@ -16,7 +16,7 @@ class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
     tries: int = Field(200, ge=1, description="Places drawn for an object that stands aside.")
-    moves: int = Field(4, ge=1, description="Moves an object, at most.")
+    moves: int = Field(4, ge=1, description="Moves per object, at most.")
 
 
 class Template(Plugin[TemplateConfig], Planner):

@@ -14,7 +14,7 @@ from toolkit.types import Float
 class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
-    most: int = Field(16, ge=1, description="Candidates tried at most.")
+    most: int = Field(16, ge=1, description="Largest number of candidates that are tried.")
 
 
 class Candidates(Traversal):

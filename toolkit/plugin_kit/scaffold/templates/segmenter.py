@@ -19,7 +19,7 @@ class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
     min_height_m: float = Field(0.006, gt=0, description="Lower points belong to the table.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
 
 
 class Template(Plugin[TemplateConfig], Segmenter):
