@@ -159,7 +159,7 @@ def _prepare(setup: WorkerSetup) -> None:
     os.environ.update(setup.environment)
     if setup.folder.is_dir():
         os.chdir(setup.folder)
-    # One thread a process, or workers fight for cores.
+    # One thread per process, or workers fight for cores.
     cv2.setNumThreads(1)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)

@@ -26,7 +26,7 @@ TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
 _ONE_THREAD: dict[str, Any] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""One thread a process, or the workers fight for cores."""
+"""One thread per process, or the workers fight for cores."""
 
 _NO_MAIN = {"__main__": ModuleType("__main__")}
 

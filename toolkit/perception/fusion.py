@@ -58,7 +58,7 @@ class FusedModel:
         points: (N, 3) float32, metres; one per voxel.
         colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
         seen_by: (N, V) bool, which of the patches saw the voxel.
-        patches: V, one a frame that saw the object.
+        patches: V, one per frame that saw the object.
     """
 
     points: Float

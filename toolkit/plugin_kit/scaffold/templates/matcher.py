@@ -19,7 +19,7 @@ class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
     crop_size: int = Field(256, ge=64, description="Side of the crops, in pixels.")
-    max_corners: int = Field(300, ge=8, description="Corners kept a crop.")
+    max_corners: int = Field(300, ge=8, description="Corners kept per crop.")
     patch_px: int = Field(15, ge=5, description="Side of a patch, pixels; odd.")
     min_correlation: float = Field(0.8, ge=0, le=1, description="Patches that agree less are no match.")
 
