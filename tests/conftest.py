@@ -17,9 +17,9 @@ from toolkit.geometry import look_at
 from toolkit.types import Camera, Capture
 
 if importlib.util.find_spec("pybullet") is None:
-    collect_ignore = ["cli", "experiments", "harness", "sim", "training", "test_docs.py", "data/test_tabletop.py"]
-    collect_ignore += ["pictures/test_recording.py", "plugin_kit/test_scaffold.py"]
-    collect_ignore += ["rearrangement/test_arm.py", "rearrangement/test_executors.py"]
+    collect_ignore = ["cli", "experiments", "harness", "sim", "training", "test_docs.py", "test_makers.py"]
+    collect_ignore += ["data/test_tabletop.py", "data/test_tracks.py", "pictures/test_recording.py"]
+    collect_ignore += ["plugin_kit/test_scaffold.py", "rearrangement/test_arm.py", "rearrangement/test_executors.py"]
     """What simulates, and cannot where PyBullet is not to be had; `.ci/run` tests it, on a machine that has it."""
 
 
