@@ -23,7 +23,7 @@ BUILT_IN = [(r.stage, entry.name) for r in REGISTRIES.values() for entry in r.en
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    for module in ("mkdocs", "material", "mkdocstrings_handlers"):
+    for module in ("mkdocs", "material", "mkdocstrings_handlers", "griffe_inherited_docstrings"):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} is not installed: pip install 'rearrange-toolkit[docs]'")
     out = tmp_path_factory.mktemp("site")
@@ -61,6 +61,8 @@ def test_every_implementation_is_in_its_stage_s_table_with_its_settings(site):
 def test_the_api_reference_shows_what_docstrings_say(site):
     text = (site / "reference" / "types" / "index.html").read_text()
     assert "float64 intrinsics" in text and "toolkit.types.Camera" in text
+    text = (site / "reference" / "rearrangement.executors.replay" / "index.html").read_text()
+    assert text.count("Let go of the task") == 2  # Recorder and Replay, from the Protocol
 
 
 def test_links_between_readme_plugins_and_docs_lead_to_pages(site):

@@ -15,7 +15,7 @@ from toolkit.stages import REGISTRIES
 ROOT = Path(toolkit.__file__).parent
 
 LAYERS = [
-    {"errors", "slots", "paths", "progress", "files"},
+    {"errors", "slots", "settings", "paths", "progress", "files"},
     {"geometry", "parallel"},
     {"types", "weights"},
     {"digests", "registry", "models", "sim", "results"},

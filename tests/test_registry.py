@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+from abc import abstractmethod
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import pytest
 from pydantic import Field
@@ -22,6 +24,45 @@ class Other(Plugin):
     stage, name = "thing", "some"
 
 
+class Thing(Protocol):
+    @abstractmethod
+    def work(self) -> int:
+        """Work."""
+
+
+class Worker(Plugin[SomeConfig], Thing):
+    stage, name = "thing", "worker"
+
+    def work(self) -> int:
+        return round(10 * self.config.ratio)
+
+
+class Idle(Plugin[SomeConfig], Thing):
+    stage, name = "thing", "idle"
+
+
+class OtherConfig(SomeConfig):
+    more: int = Field(7)
+
+
+SomeConfigT = TypeVar("SomeConfigT", bound=SomeConfig)
+
+
+class Family(Plugin[SomeConfigT], Thing):
+    stage = "thing"
+
+
+class Member(Family[OtherConfig]):
+    name = "member"
+
+    def work(self) -> int:
+        return self.config.more
+
+
+class Child(Worker):
+    name = "child"
+
+
 @pytest.fixture
 def registry() -> Registry:
     return Registry("thing", "toolkit.things", {"builtin": "no.such.module:Class"})
@@ -39,6 +80,20 @@ def test_settings_are_checked_and_the_nearest_key_is_offered(registry):
         registry.create("some", {"ratoi": 0.5})
     with pytest.raises(ToolkitError, match="less than or equal to 1"):
         registry.create("some", {"ratio": 2})
+
+
+def test_the_settings_class_is_what_stands_in_the_brackets(registry):
+    registry.register(Worker, "here")
+    assert Worker.Config is SomeConfig and registry.create("worker", {"ratio": 0.5}).work() == 5
+    assert Family.Config is SomeConfig and Member.Config is OtherConfig and Member().work() == 7
+    assert Child.Config is SomeConfig and Child(SomeConfig(ratio=0.1)).work() == 1
+    assert Other.Config is PluginConfig and Some.Config is SomeConfig
+
+
+def test_a_method_that_is_lacking_is_named(registry):
+    registry.register(Idle, "here")
+    with pytest.raises(ToolkitError, match=r"thing 'idle' from here lacks work; toolkit\.stages says"):
+        registry.create("idle")
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(registry):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from typing_extensions import TypeVar
 
 from toolkit.errors import ToolkitError, suggest
 
@@ -25,14 +26,40 @@ class PluginConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Plugin:
-    """Base of every stage implementation.
+class StageChoice(BaseModel):
+    """A stage's implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`.
+
+    Experiments choose so, and so do plugins that work with another stage: a setting of this type that is read by
+    `Registry.choose` is checked, and written out, with the plugin's own.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    name: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The implementation's own settings."""
+        return dict(self.model_extra or {})
+
+
+ConfigT = TypeVar("ConfigT", bound=PluginConfig, default=PluginConfig, covariant=True)
+
+
+class Plugin(Generic[ConfigT]):
+    """Base of every stage implementation: `class Mine(Plugin[MineConfig], Matcher)`, with the stage's Protocol.
 
     Attributes:
         stage: the stage it implements, singular, as on the command line.
         name: how users choose it.
         version: part of every cache key; raise it when outputs change for reasons the source does not show.
-        Config: its settings.
+        Config: the class of its settings, which is what stands in the brackets; or set by hand.
+        config: its settings.
         weights: names of the weight cards of every checkpoint that its settings can choose.
         cards: cards of its checkpoints that the toolkit does not know; they state the licence, and
             `toolkit.weights.resolve.resolve_weights` finds and fetches what they name.
@@ -45,8 +72,17 @@ class Plugin:
     weights: ClassVar[tuple[str, ...]] = ()
     cards: ClassVar[tuple[WeightCard, ...]] = ()
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
-        self.config = config if config is not None else self.Config()
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "Config" not in vars(cls):
+            for base in vars(cls).get("__orig_bases__", ()):
+                if issubclass(get_origin(base) or object, Plugin):
+                    (config,) = get_args(base)
+                    # Of a family of plugins, the settings that all members have.
+                    cls.Config = getattr(config, "__bound__", config)
+
+    def __init__(self, config: ConfigT | None = None) -> None:
+        self.config = config if config is not None else cast(ConfigT, self.Config())
 
     def check_ready(self) -> None:
         """Raise ToolkitError when something it needs (a checkpoint, a device) cannot be had.
@@ -129,6 +165,12 @@ class Registry(Generic[StageT]):
             ) from error
         if not (isinstance(loaded, type) and issubclass(loaded, Plugin)):
             raise ToolkitError(f"{self.stage} '{name}' from {entries[0].origin} is not a toolkit Plugin class")
+        lacking = sorted(getattr(loaded, "__abstractmethods__", ()))
+        if lacking:
+            raise ToolkitError(
+                f"{self.stage} '{name}' from {entries[0].origin} lacks {' and '.join(lacking)}; "
+                "toolkit.stages says what each must do"
+            )
         return loaded
 
     def create(self, name: str, settings: dict[str, Any] | None = None) -> StageT:
@@ -139,6 +181,22 @@ class Registry(Generic[StageT]):
         """
         plugin = self.get(name)
         return cast(StageT, plugin(self.config(plugin, settings or {})))
+
+    def choose(self, value: Any, default: str | None = None) -> StageChoice:
+        """Read a choice of this stage, with its settings checked and every default written out.
+
+        Args:
+            value: `sift`, `{name: sift, ratio: 0.8}`, or a StageChoice.
+            default: whose settings they are where no name is given.
+
+        Raises:
+            ToolkitError: as `create`; or there is no name.
+        """
+        if default is not None and isinstance(value, Mapping):
+            value = {"name": default, **value}
+        choice = validated(StageChoice, value, self.stage)
+        config = self.config(self.get(choice.name), choice.settings)
+        return StageChoice(name=choice.name, **config.model_dump(mode="json"))
 
     def config(self, plugin: type[Plugin], settings: dict[str, Any]) -> PluginConfig:
         """Check `settings` against `plugin.Config`; raises ToolkitError with the key and the reason."""
@@ -156,7 +214,7 @@ class Registry(Generic[StageT]):
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-def validated(model: type[ModelT], settings: dict[str, Any], what: str) -> ModelT:
+def validated(model: type[ModelT], settings: Any, what: str) -> ModelT:
     """Build a pydantic model, turning its first error into one sentence.
 
     Raises:
@@ -170,7 +228,8 @@ def validated(model: type[ModelT], settings: dict[str, Any], what: str) -> Model
         if first["type"] == "extra_forbidden":
             hint = suggest(str(first["loc"][-1]), list(model.model_fields)) if len(first["loc"]) == 1 else ""
             raise ToolkitError(f"{what}: unknown setting '{path}'{hint}") from error
-        raise ToolkitError(f"{what}: setting '{path}': {first['msg']} (got {first.get('input')!r})") from error
+        where = f"{what}: setting '{path}'" if path else what
+        raise ToolkitError(f"{where}: {first['msg']} (got {first.get('input')!r})") from error
 
 
 def load_plugin_file(path: Path) -> Any:

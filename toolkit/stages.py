@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.stages import (
     ASSOCIATORS,
     DESCRIPTORS,
@@ -35,11 +36,11 @@ from toolkit.perception.stages import (
 from toolkit.rearrangement.stages import (
     EXECUTORS,
     GRASPERS,
-    MOTION,
+    MOTION_PLANNERS,
     PLANNERS,
     Executor,
     Grasper,
-    Motion,
+    MotionPlanner,
     Planner,
     Schedule,
 )
@@ -53,7 +54,7 @@ __all__ = [
     "GRASPERS",
     "INDEXES",
     "MATCHERS",
-    "MOTION",
+    "MOTION_PLANNERS",
     "PLANNERS",
     "PNP",
     "REFINERS",
@@ -70,7 +71,7 @@ __all__ = [
     "Grasper",
     "Index",
     "Matcher",
-    "Motion",
+    "MotionPlanner",
     "Planner",
     "PnP",
     "Refiner",
@@ -80,6 +81,7 @@ __all__ = [
     "Segmenter",
     "Traversal",
     "register_module",
+    "registry_of",
 ]
 
 REGISTRIES: dict[str, Registry[Any]] = {
@@ -97,11 +99,22 @@ REGISTRIES: dict[str, Registry[Any]] = {
         REFINERS,
         PLANNERS,
         GRASPERS,
-        MOTION,
+        MOTION_PLANNERS,
         EXECUTORS,
     )
 }
 """Singular stage name -> registry, in pipeline order."""
+
+
+def registry_of(stage: str) -> Registry[Any]:
+    """The registry of a stage.
+
+    Raises:
+        ToolkitError: there is no such stage; the nearest is offered.
+    """
+    if stage not in REGISTRIES:
+        raise ToolkitError(f"unknown stage '{stage}'{suggest(stage, list(REGISTRIES))}")
+    return REGISTRIES[stage]
 
 
 def register_module(module: Any, origin: str) -> int:

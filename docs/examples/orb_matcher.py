@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Matcher
 from toolkit.types import Matches
 
 
@@ -18,10 +19,10 @@ class OrbConfig(PluginConfig):
     max_features: int = Field(800, ge=8, description="Keypoints kept per crop.")
 
 
-class OrbMatcher(Plugin):
+class OrbMatcher(Plugin[OrbConfig], Matcher):
     """ORB (Rublee et al., ICCV 2011), mutual nearest neighbours in Hamming distance."""
 
-    stage, name, Config = "matcher", "orb", OrbConfig
+    stage, name = "matcher", "orb"
 
     @property
     def crop_size(self):

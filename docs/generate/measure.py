@@ -17,7 +17,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from toolkit.harness.runs import ROWS
+from toolkit.results.folder import ROWS, TABLE
 
 RUNS = Path("runs") / "docs"
 _OWNED = re.compile(
@@ -53,7 +53,7 @@ def measure(command: str) -> str:
         return _first_table(_run(command))
     run = RUNS / re.sub(r"[^\w.=-]+", "-", " ".join(words[1:]).replace("/", "-"))
     _run(f"{command} --out {run}{' --resume' if (run / ROWS).exists() else ''}")
-    return _first_table((run / "summary.md").read_text())
+    return _first_table((run / TABLE).read_text())
 
 
 def _run(command: str) -> str:

@@ -24,14 +24,18 @@ MODULES: dict[str, tuple[str, ...]] = {
         "rearrangement.planners.puzzles.rollout",
     ),
     "Experiments": (
-        *(f"harness.{name}" for name in ("experiment", "ablate", "rearrange", "attribution", "runs", "merge", "cache")),
+        *(f"harness.{name}" for name in ("experiment", "drive", "kinds", "ablate", "rearrange", "attribution")),
+        *(f"harness.{name}" for name in ("runs", "merge", "cache")),
+        "settings",
         "parallel",
     ),
     "Rows and figures": (
         *(f"results.{name}" for name in ("rows", "scoring", "metrics", "stats", "comparisons", "completion")),
         "pictures.poses",
     ),
-    "Data": ("data.bop", "data.dataset", "data.tabletop", "data.objects"),
+    "Data": tuple(
+        f"data.{name}" for name in ("bop", "dataset", "tabletop", "scene", "conditions", "sensors", "objects")
+    ),
     "Training": ("training.config", "training.run", "training.pairs"),
 }
 """Heading -> modules of `toolkit`."""

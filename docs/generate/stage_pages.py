@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from toolkit.perception import stages as perception
 from toolkit.rearrangement import stages as rearrangement
-from toolkit.registry import Plugin, Registry
+from toolkit.registry import Plugin, PluginConfig, Registry
 from toolkit.stages import REGISTRIES
 from toolkit.weights.cards import CARDS, WeightCard
 
@@ -99,7 +99,7 @@ def _settings_table(config: type[BaseModel]) -> list[str]:
 def _fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
     """Settings by dotted key; groups are opened."""
     for key, info in config.model_fields.items():
-        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+        if isinstance(info.annotation, type) and issubclass(info.annotation, PluginConfig):
             yield from _fields(info.annotation, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", info
@@ -120,9 +120,8 @@ def _type_name(kind: Any) -> str:
         return " or ".join(_type_name(part) for part in parts)
     if parts:
         return f"({', '.join(_type_name(part) for part in parts)})"
-    return {"Path": "file or folder", "str": "text", "int": "integer", "float": "number", "bool": "yes or no"}.get(
-        kind.__name__, kind.__name__
-    )
+    names = {"Path": "file or folder", "str": "text", "int": "integer", "float": "number", "bool": "yes or no"}
+    return {**names, "StageChoice": "name, or name and settings"}.get(kind.__name__, kind.__name__)
 
 
 def _default(info: FieldInfo) -> str:

@@ -26,6 +26,8 @@ _FLAT_SHARE = 0.3
 
 _REACH_PX = 3
 _JUMP_M = 0.05
+_FURTHEST_M = 1.5
+"""Further away, noise alone is a jump."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def _residuals(depth: Float) -> list[Float]:
     for top in range(0, depth.shape[0] - _BLOCK_PX, _BLOCK_PX):
         for left in range(0, depth.shape[1] - _BLOCK_PX, _BLOCK_PX):
             block = depth[top : top + _BLOCK_PX, left : left + _BLOCK_PX].astype(np.float64)
-            if (block > 0).all() and block.max() < 2:
+            if (block > 0).all() and block.max() < _FURTHEST_M:
                 found.append((project @ (1 / block).ravel()).reshape(block.shape))
     return found or [np.zeros((_BLOCK_PX, _BLOCK_PX))]
 
@@ -94,7 +96,7 @@ def _edges(depth: Float) -> tuple[float, float]:
         left, right = image[:, : -2 * _REACH_PX], image[:, 2 * _REACH_PX :]
         middle = image[:, _REACH_PX:-_REACH_PX]
         low, high = np.minimum(left, right), np.maximum(left, right)
-        edge = (low > 0) & (high - low > _JUMP_M) & (high < 3)
+        edge = (low > 0) & (high - low > _JUMP_M) & (high < _FURTHEST_M)
         part = (middle - low) / np.maximum(high - low, 1e-6)
         total += int(edge.sum())
         lost += int((edge & (middle == 0)).sum())

@@ -9,9 +9,9 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter, defaultdict
-from contextlib import closing
 
 import numpy as np
+from lift import lifted_height
 from rich.console import Console
 from rich.progress import track
 
@@ -21,15 +21,16 @@ from toolkit.harness.experiment import expand, load_experiment
 from toolkit.harness.worker import make_runner
 from toolkit.paths import cache_root
 from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.rearrangement.episode import begun
 from toolkit.rearrangement.executors.kinematic import Kinematic
-from toolkit.rearrangement.grasps.geometry.gripper import Gripper
-from toolkit.rearrangement.moves import PickPlace
+from toolkit.rearrangement.moves import GraspRequest
 from toolkit.results.stats import wilson_interval
-from toolkit.sim.lift import lifted_height
+from toolkit.sim.robots import ROBOTS
 from toolkit.stages import GRASPERS
 from toolkit.types import Failure
 
 ORACLES = {"pipeline.segmenter": ["oracle"], "pipeline.associator": ["oracle"]}
+APPROACH_M = 0.08
 LIFTED_M = 0.02
 """An object whose lowest point ends higher than this is held."""
 
@@ -46,8 +47,7 @@ def main() -> None:
     cell = expand(load_experiment("rearrange", ORACLES))[0]
     pipeline = make_runner(cell, None).pipeline
     grasper = GRASPERS.create(options.grasp)
-    gripper = Gripper()
-    finger = np.array([gripper.finger_thickness_m, gripper.finger_width_m, gripper.finger_length_m])
+    gripper = ROBOTS["gen3"].gripper
     config = TabletopConfig(objects=options.objects, scenes=options.scenes, seed=options.seed)
     objects = load_object_set(options.objects, cache_root())
     outcomes: dict[str, list[bool | None]] = defaultdict(list)
@@ -55,8 +55,8 @@ def main() -> None:
     times: list[float] = []
     for number in track(range(options.scenes), console=Console(stderr=True)):
         scene = draw_scene(config, objects, number, cache_root())
-        with closing(Kinematic()) as executor:
-            executor.begin(scene)
+        executor = Kinematic()
+        with begun(executor, scene):
             database = pipeline.build_database(executor.observe())
         models = [fuse(database, instance) for instance in range(int(database.instances.max()) + 1)]
         clouds = [model.points for model in models if isinstance(model, FusedModel)]
@@ -65,16 +65,13 @@ def main() -> None:
         for i, asset in enumerate(scene.assets):
             others = np.concatenate([np.zeros((0, 3)), *(cloud for j, cloud in enumerate(clouds) if j != i)])
             start = time.perf_counter()
-            found = grasper.grasp(PickPlace(clouds[i], np.eye(4), others), options.seed)
+            found = grasper.grasp(GraspRequest(clouds[i], np.eye(4), others, gripper, APPROACH_M), options.seed)
             times.append(1e3 * (time.perf_counter() - start))
             if isinstance(found, Failure):
                 reasons[found.reason] += 1
                 outcomes[asset.category].append(None)
                 continue
-            best = found[0]
-            height = lifted_height(
-                asset.hulls, asset.mass_kg, scene.current[i], best.T_world_gripper, best.opening, finger
-            )
+            height = lifted_height(asset.hulls, asset.mass_kg, scene.current[i], found[0], gripper)
             outcomes[asset.category].append(height > LIFTED_M)
     print("| category | objects | with a grasp | lifted | 95 % interval |\n| --- | --- | --- | --- | --- |")
     everything = [outcome for own in outcomes.values() for outcome in own]

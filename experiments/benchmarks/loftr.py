@@ -12,7 +12,6 @@ import argparse
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,14 +23,6 @@ from scipy.ndimage import gaussian_filter
 
 from toolkit.perception.matchers.loftr import LoftrConfig, LoftrMatcher
 from toolkit.types import Crop, Matches
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds of one goal object: with the database's features at hand, and with its share of making them."""
-
-    alone: float
-    shared: float
 
 
 def make_crops(rng: np.random.Generator, size: int, count: int) -> list[Crop]:

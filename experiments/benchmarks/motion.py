@@ -24,7 +24,7 @@ from toolkit.rearrangement.paths import length
 from toolkit.results.stats import wilson_interval
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robots import ROBOTS
-from toolkit.stages import MOTION
+from toolkit.stages import MOTION_PLANNERS
 from toolkit.types import Failure, Float
 
 PAIRS_A_SCENE = 10
@@ -40,10 +40,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
 
-    base = base_pose(ArmConfig())
+    arm = ArmConfig()
+    base = base_pose(arm)
     config = TabletopConfig(objects=options.objects, min_objects=8, max_objects=9, seed=options.seed)
     objects = load_object_set(options.objects, cache_root())
-    planners = {name: MOTION.create(name) for name in MOTION.names()}
+    planners = {name: MOTION_PLANNERS.create(name) for name in MOTION_PLANNERS.names()}
     times: dict[str, list[float]] = {name: [] for name in planners}
     lengths: dict[str, list[float]] = {name: [] for name in planners}
     straight: list[float] = []
@@ -57,7 +58,7 @@ def main() -> None:
             for pair in range(min(PAIRS_A_SCENE, options.pairs - number * PAIRS_A_SCENE)):
                 start, goal = free_pose(clearance, base, rng), free_pose(clearance, base, rng)
                 chain = clearance.robot.chain
-                problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free)
+                problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, arm.search_s)
                 straight.append(float(np.linalg.norm(goal - start)))
                 for name, planner in planners.items():
                     begun = time.perf_counter()
@@ -90,7 +91,7 @@ def free_pose(clearance: Clearance, base: Float, rng: np.random.Generator) -> Fl
         place = base[:3, 3] + [distance * np.cos(azimuth), distance * np.sin(azimuth), rng.uniform(0.02, 0.30)]
         c, s = np.cos(yaw), np.sin(yaw)
         tips = make_transform(np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]]), place)
-        hand = tips @ np.linalg.inv(robot.T_hand_tips(robot.model.stroke_m))
+        hand = tips @ np.linalg.inv(robot.T_hand_tips(robot.model.gripper.stroke_m))
         for q in robot.chain.solve(hand, home + rng.uniform(-1, 1, (4, len(home)))):
             if clearance.free(q):
                 return q

@@ -26,7 +26,8 @@ from typing import Any
 from rich.console import Console
 
 from toolkit.data.source import open_dataset
-from toolkit.harness.ablate import run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import Experiment, create_stage, expand, load_experiment
 from toolkit.harness.runs import RunOptions
 from toolkit.paths import cache_root
@@ -79,7 +80,7 @@ def measure(experiment: Experiment, clocks: tuple[Clock, Clock], folder: Path, *
     for clock in clocks:
         clock.seconds = 0.0
     start = time.perf_counter()
-    run_experiment(experiment, RunOptions(out=folder, use_cache=use_cache))
+    drive(Ablation(), experiment, RunOptions(out=folder, use_cache=use_cache))
     return [time.perf_counter() - start, *(clock.seconds for clock in clocks)]
 
 

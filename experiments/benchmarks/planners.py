@@ -45,7 +45,7 @@ def main() -> None:
     for puzzle in track(suite(options.seed, options.repeats), console=Console(stderr=True)):
         for name, planner in planners.items():
             start = time.perf_counter()
-            plan = rollout(planner, puzzle.table, options.seed)
+            plan = rollout(planner, puzzle.layout, options.seed)
             results[puzzle.name, name].append(Result(plan, 1e3 * (time.perf_counter() - start)))
     print("| puzzle, objects | planner | moves | lower bound | ratio | worst | proven optimal | unsolved | median ms |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")

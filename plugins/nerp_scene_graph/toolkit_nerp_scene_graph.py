@@ -18,7 +18,7 @@ from toolkit.perception.crops import crop_region
 from toolkit.perception.fusion import FusedModel, Models, RefineTask
 from toolkit.perception.refiners.comparing.rotations import yaw_rotations
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.stages import DESCRIPTORS, REFINERS
+from toolkit.stages import DESCRIPTORS, REFINERS, Refiner
 from toolkit.types import Failure, Float, Frame, Image, Mask, Refined, Segment
 
 _BEST_VIEWS = 3
@@ -82,7 +82,7 @@ _Beliefs = dict[tuple[tuple[int, int], ...], Float]
 """Signatures of all goal objects -> what was made of them, so that asking for every pair costs one matching."""
 
 
-class NerpSceneGraph(Plugin):
+class NerpSceneGraph(Plugin[NerpSceneGraphConfig], Refiner):
     """Tells which goal object is which instance by matching two graphs, in the manner of NeRP (Qureshi et al. 2021).
 
     It answers `verify`, which `assignment: global` asks; motions are the base refiner's.
@@ -90,10 +90,8 @@ class NerpSceneGraph(Plugin):
 
     stage = "refiner"
     name = "nerp_scene_graph"
-    Config = NerpSceneGraphConfig
-    config: NerpSceneGraphConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: NerpSceneGraphConfig | None = None) -> None:
         super().__init__(config)
         if self.config.base == self.name:
             raise ToolkitError(f"refiner '{self.name}' needs another one as its base")
@@ -111,7 +109,7 @@ class NerpSceneGraph(Plugin):
         return {**self._base.digests(), **self._descriptor.digests()}
 
     def refine(self, task: RefineTask) -> Refined | Failure | None:
-        """The base's answer; see Refiner."""
+        """The base's answer."""
         return self._base.refine(task)
 
     def verify(self, task: RefineTask) -> float | None:

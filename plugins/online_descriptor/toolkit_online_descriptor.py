@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.stages import DESCRIPTORS, Adaptation
+from toolkit.stages import DESCRIPTORS, Adaptation, AdaptiveDescriptor, Descriptor
 from toolkit.types import Crop, Float
 
 
@@ -27,7 +27,7 @@ class OnlineDescriptorConfig(PluginConfig):
     )
 
 
-class OnlineDescriptor(Plugin):
+class OnlineDescriptor(Plugin[OnlineDescriptorConfig], Descriptor, AdaptiveDescriptor):
     """A descriptor that learns from the scene's own views, the paper's future work.
 
     The views show every object several times. How an object's descriptor varies from view to view says nothing about
@@ -37,10 +37,8 @@ class OnlineDescriptor(Plugin):
 
     stage = "descriptor"
     name = "online_descriptor"
-    Config = OnlineDescriptorConfig
-    config: OnlineDescriptorConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: OnlineDescriptorConfig | None = None) -> None:
         super().__init__(config)
         self._base: Any = DESCRIPTORS.create(self.config.base, self.config.base_settings)
 

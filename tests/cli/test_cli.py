@@ -2,24 +2,52 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import cv2
 import pytest
 
+from toolkit import __version__
+from toolkit.cli.commands import main
+from toolkit.harness.experiment import load_experiment
 from toolkit.results.rows import read_rows
+from toolkit.settings import shipped_settings
+
+START = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
+
+TERMINAL = {"COLUMNS": "120", "NO_COLOR": "1"}
 
 
-def toolkit(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+def toolkit(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+    """What a command answers, given in this process, which has everything imported."""
+    call = ["toolkit", *map(str, arguments)]
+    out, err = io.StringIO(), io.StringIO()
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        for name, value in {**TERMINAL, **environment}.items():
+            patch.setenv(name, value)
+        patch.chdir(folder or Path.cwd())
+        patch.setattr(sys, "argv", call)
+        with pytest.raises(SystemExit) as end:
+            main()
+    signal.signal(signal.SIGINT, before)
+    return subprocess.CompletedProcess(call, end.value.code or 0, out.getvalue(), err.getvalue())
+
+
+def own_process(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+    """What a command answers in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
-        env={**os.environ, "COLUMNS": "120", "NO_COLOR": "1"},
+        [sys.executable, "-c", START, *map(str, arguments)],
+        env={**os.environ, **TERMINAL, **environment},
         cwd=folder,
         capture_output=True,
         text=True,
@@ -28,6 +56,7 @@ def toolkit(*arguments: object, folder: Path | None = None) -> subprocess.Comple
     )
 
 
+FEW = ["--scenes", "1", "--set", "dataset.views=2", "--set", "dataset.max_objects=2"]
 MISTAKES = {
     "unknown experiment": (["ablate", "quik"], "did you mean 'quick'?"),
     "unknown stage name": (["ablate", "--matcher", "sfit"], "unknown matcher 'sfit'; did you mean 'sift'?"),
@@ -35,7 +64,7 @@ MISTAKES = {
     "unknown path": (["ablate", "--set", "pipelin.views=1"], "did you mean 'pipeline'?"),
     "a --set without a value": (["ablate", "--set", "pipeline.views"], "--set takes path.to.key=value"),
     "a value that does not fit": (["ablate", "--set", "pipeline.min_matches=two"], "min_matches"),
-    "too many views": (["ablate", "--scenes", "1", "--set", "pipeline.views=9"], "the capture has 8 current frames"),
+    "too many views": (["ablate", *FEW, "--set", "pipeline.views=3"], "the capture has 2 current frames"),
     "no such object folder": (["ablate", "--objects", "nowhere"], "is not a folder"),
     "too many objects": (["ablate", "--set", "dataset.max_objects=200"], "max_objects is 200"),
     "no such plugin": (["ablate", "--plugin", "nowhere.py"], "does not exist"),
@@ -49,6 +78,8 @@ MISTAKES = {
     "a new plugin for no stage": (["plugin", "new", "matchr", "mine"], "did you mean 'matcher'?"),
     "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
     "a check of nothing": (["check", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "several values where one is set": (["check", "index", "numpy", "--set", "a=1,2"], "--set a takes one value here"),
+    "no such list": (["list", "experiment"], "did you mean 'experiments'?"),
     "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
 }
 
@@ -66,7 +97,7 @@ def test_mistakes_are_answered_in_a_line_or_two(case, tmp_path):
 
 def test_yaml_that_does_not_parse_is_named_with_its_line(tmp_path):
     (tmp_path / "bad.yaml").write_text("name: x\npipeline: {matcher: sift\nseed: 3\n")
-    done = toolkit("ablate", "bad.yaml", folder=tmp_path)
+    done = own_process("ablate", "bad.yaml", folder=tmp_path)
     assert done.returncode == 2
     assert re.search(r"error: experiment 'bad\.yaml', line \d+: ", done.stderr)
 
@@ -80,6 +111,39 @@ def test_every_implementation_is_listed_and_shown():
     shown = toolkit("show", "matcher", "sift")
     assert "ratio" in shown.stdout and "RootSIFT" in shown.stdout and "weights" not in shown.stdout
     assert "non-commercial" in toolkit("show", "grasp", "contact_graspnet").stdout
+
+
+def test_every_shipped_experiment_is_listed_with_its_description_and_file():
+    listed = toolkit("list", "experiments", COLUMNS="300")
+    assert listed.returncode == 0, listed.stderr
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in listed.stdout.splitlines() if "│" in line]
+    shipped = shipped_settings()
+    assert lines == [[name, load_experiment(name).description, path.name] for name, path in shipped.items()]
+    assert str(shipped["quick"].parent) in listed.stdout
+
+
+def test_the_version_is_said_without_a_command():
+    done = toolkit("--version")
+    assert (done.returncode, done.stdout) == (0, f"toolkit {__version__}\n")
+
+
+COMPLETIONS = {
+    "ablate pap": {"paper_table1", "paper_table2"},
+    "ablate --matcher si": {"sift"},
+    "ablate --goal-segmenter or": {"oracle"},
+    "rearrange --planner op": {"optimal"},
+    "show mat": {"matcher"},
+    "show matcher xf": {"xfeat_lighterglue"},
+    "list ex": {"executor", "experiments"},
+    "view somewhere --experiment qu": {"quick"},
+}
+
+
+@pytest.mark.parametrize("line", COMPLETIONS)
+def test_the_shell_completes_names(line):
+    words = ["toolkit", *line.split(" ")]
+    asked = {"_TOOLKIT_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    assert set(own_process(**asked).stdout.split()) == COMPLETIONS[line]
 
 
 def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
@@ -99,14 +163,14 @@ def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
 
 
 def test_doctor_says_what_the_machine_has():
-    done = toolkit("doctor")
+    done = own_process("doctor")
     assert done.returncode == 0
     for word in ("cores:", "torch", "renderer:", "cache:"):
         assert word in done.stdout
 
 
 def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
-    done = toolkit("estimate", dataset / "000000", "--out", tmp_path / "out")
+    done = own_process("estimate", dataset / "000000", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     poses = json.loads((tmp_path / "out" / "poses.json").read_text())
     assert poses["schema"] == 1 and poses["capture"] == "000000"

@@ -143,3 +143,18 @@ def test_recoloured_objects_are_rendered_in_their_own_colours(cache, tmp_path, r
     assert np.abs(shown[0] - shown[1]).max() > 15
     unchanged = [c.goal.rgb[c.goal.true_masks[0]].mean(axis=0) for c in (alike, other)]
     np.testing.assert_allclose(*unchanged, atol=2)
+
+
+def test_a_build_that_was_stopped_is_not_believed_and_goes_on(cache, tmp_path):
+    config = TabletopConfig(scenes=2, seed=8, **SMALL)
+    out = build_dataset(config, tmp_path / "data", cache)
+    whole = files(out)
+    (out / "000001").rename(out / ".000001.17.abcdef.tmp")
+    with pytest.raises(ToolkitError, match=r"has 1 of the 2 scenes its dataset\.json speaks of") as error:
+        read_dataset(out)
+    assert "\n" not in str(error.value)
+    with pytest.raises(ToolkitError, match="is not empty; name a new folder"):
+        build_dataset(config.model_copy(update={"seed": 9}), out, cache)
+    build_dataset(config, out, cache)
+    assert [path.name for path in read_dataset(out)] == ["000000", "000001"]
+    assert {name: sha for name, sha in files(out).items() if name.parts[0][0] != "."} == whole

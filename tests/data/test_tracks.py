@@ -186,7 +186,7 @@ def test_masks_are_those_of_a_z_buffer_over_objects_rendered_alone(cache):
             world.move_all(
                 bodies, [np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -50], [0, 0, 0, 1.0]])] * len(bodies)
             )
-            world.move(body, pose)
+            world.client.place(body, pose)
             depth = world.render(scene.cameras[0], Light())[1]
             alone.append(np.where(depth > 0, depth, np.inf))
     nearest = np.argmin(alone, axis=0)

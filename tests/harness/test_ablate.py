@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ import pytest
 import yaml
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.ablate import run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import expand, load_experiment
-from toolkit.harness.runs import RunOptions
-from toolkit.results.rows import read_rows
+from toolkit.harness.runs import RunOptions, open_run
+from toolkit.results.rows import append_rows, read_rows
 
 PIPELINE = {
     "segmenter": "oracle",
@@ -65,16 +67,16 @@ def command(*arguments: object, **environment: str) -> subprocess.Popen[str]:
 
 
 def test_a_run_writes_everything_and_the_cache_serves_the_next(experiment, tmp_path):
-    first = run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "first", workers=2))
+    first = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "first", workers=2))
     for name in ("experiment.resolved.yaml", "meta.json", "rows.jsonl", "summary.csv", "report.html"):
         assert (first / name).stat().st_size > 0
     rows = read_rows(first / "rows.jsonl")
     assert {row.cell for row in rows} == {"views=all", "views=1"}
     assert len(rows) == 2 * 2 * 2
-    second = run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "second"))
+    second = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "second"))
     assert lines(second) == lines(first)
     assert all(row.cached for row in read_rows(second / "rows.jsonl"))
-    without = run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "third", use_cache=False))
+    without = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "third", use_cache=False))
     assert lines(without) == lines(first)
     assert not any(row.cached for row in read_rows(without / "rows.jsonl"))
 
@@ -96,18 +98,18 @@ def test_missing_weights_stop_the_command_before_any_work(tmp_path, monkeypatch)
     monkeypatch.setattr("toolkit.weights.resolve.fetch", _no_network)
     experiment = load_experiment("quick", {"pipeline.matcher": ["sift", {"name": "loftr", "weights": "outdoor"}]})
     with pytest.raises(ToolkitError, match=r"put loftr_outdoor\.ckpt into"):
-        run_experiment(experiment, RunOptions(out=tmp_path / "run"))
+        drive(Ablation(), experiment, RunOptions(out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()
     assert not (tmp_path / "cache").exists()
 
 
-def _no_network(source, target):
+def _no_network(source, target, sha256):
     raise OSError("no route to host")
 
 
 def test_killed_runs_resume_to_the_same_rows(experiment, tmp_path):
     """SIGKILL when a random number of bytes has been written, several times over; then an undisturbed resume."""
-    reference = run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "reference"))
+    reference = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "reference"))
     size = (reference / "rows.jsonl").stat().st_size
     run = tmp_path / "killed"
     rng = np.random.default_rng(int(time.time()))
@@ -131,12 +133,12 @@ def _has_bytes(path: Path, target: int) -> bool:
 
 def test_rows_cut_anywhere_resume_to_the_same_rows(experiment, tmp_path):
     """Every place a write can be torn at, without waiting for a process."""
-    run = run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+    run = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
     whole = (run / "rows.jsonl").read_bytes()
     expected = lines(run)
     for cut in np.linspace(1, len(whole) - 1, 7).astype(int):
         (run / "rows.jsonl").write_bytes(whole[:cut])
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=run, resume=True))
+        drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=run, resume=True))
         assert lines(run) == expected
 
 
@@ -157,17 +159,30 @@ def test_ctrl_c_keeps_the_finished_rows(experiment, tmp_path, workers):
 
 def test_a_run_folder_is_never_overwritten_by_accident(experiment, tmp_path):
     loaded = load_experiment(str(experiment))
-    run = run_experiment(loaded, RunOptions(out=tmp_path / "run"))
+    run = drive(Ablation(), loaded, RunOptions(out=tmp_path / "run"))
     with pytest.raises(ToolkitError, match="already holds a run"):
-        run_experiment(loaded, RunOptions(out=run))
+        drive(Ablation(), loaded, RunOptions(out=run))
     with pytest.raises(ToolkitError, match="no run with these settings"):
-        run_experiment(load_experiment(str(experiment), {"seed": [7]}), RunOptions(out=run, resume=True))
+        drive(Ablation(), load_experiment(str(experiment), {"seed": [7]}), RunOptions(out=run, resume=True))
+
+
+def test_runs_that_begin_in_the_same_second_do_not_meet(tmp_path, monkeypatch):
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("toolkit.harness.runs.datetime", Stopped)
+    runs = [open_run("small", {"of": n}, None, resume=False, fresh=False) for n in range(3)]
+    assert len({*runs}) == 3
+    assert [open_run("small", {"of": n}, None, resume=True, fresh=False) for n in range(3)] == runs
 
 
 @pytest.mark.parametrize("place", ["/proc/nowhere/run", "/dev/null/run"])
 def test_an_unwritable_run_folder_is_one_sentence(experiment, place):
     with pytest.raises(ToolkitError, match="cannot write"):
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=Path(place)))
+        drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=Path(place)))
 
 
 def test_a_full_disk_is_one_sentence_and_keeps_the_rows(experiment, tmp_path, monkeypatch):
@@ -177,14 +192,11 @@ def test_a_full_disk_is_one_sentence_and_keeps_the_rows(experiment, tmp_path, mo
         calls.append(path)
         if len(calls) > 1:
             raise OSError(28, "No space left on device")
-        append(path, rows)
+        append_rows(path, rows)
 
-    from toolkit import ablate
-
-    append = ablate.append_rows
-    monkeypatch.setattr(ablate, "append_rows", full)
+    monkeypatch.setattr("toolkit.harness.drive.append_rows", full)
     with pytest.raises(ToolkitError, match="No space left on device; finished rows are kept"):
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+        drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
     assert len(read_rows(tmp_path / "run" / "rows.jsonl")) > 0
 
 
@@ -202,7 +214,9 @@ def test_a_plugin_file_adds_a_matcher(experiment, tmp_path):
 
 def test_worker_count_changes_no_row(experiment, tmp_path):
     runs = [
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / f"{n}", workers=n, use_cache=False))
+        drive(
+            Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / f"{n}", workers=n, use_cache=False)
+        )
         for n in (1, 2)
     ]
     assert lines(runs[0]) == lines(runs[1])

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_rows import make_rows
 from rich.console import Console
-from test_report import make_rows
 
 from toolkit.errors import ToolkitError
 from toolkit.harness.attribution import attribution

@@ -17,10 +17,11 @@ import pytest
 import yaml
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.ablate import run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import load_experiment
 from toolkit.harness.merge import merge_shards
-from toolkit.harness.rearrange import run_rearrangement
+from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions, Shard
 from toolkit.harness.worker import WorkerSetup
 from toolkit.parallel import open_workers
@@ -107,7 +108,7 @@ def reference(folder):
     os.chdir(folder)
     try:
         (folder / "flag").touch()
-        run = run_experiment(load_experiment("small.yaml"), RunOptions(out=Path("reference"), use_cache=False))
+        run = drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=Path("reference"), use_cache=False))
         return folder / run
     finally:
         os.chdir(before)
@@ -125,7 +126,7 @@ def test_a_killed_worker_changes_nothing(backend, folder, reference, tmp_path, m
     (folder / "flag").unlink()
     heard = Heard()
     options = RunOptions(out=tmp_path / "run", workers=2, backend=backend, use_cache=False)
-    run = run_experiment(load_experiment("small.yaml"), options, heard)
+    run = drive(Ablation(), load_experiment("small.yaml"), options, heard)
     assert (folder / "flag").exists(), "no worker was killed"
     assert lines(run) == lines(reference)
     assert len(heard.lines) == (backend == "loky")
@@ -140,12 +141,87 @@ def test_work_that_kills_every_worker_ends_in_a_sentence(backend):
         assert sorted(workers.map(abs, [-1, -2, -3])) == [1, 2, 3]
 
 
+TASKS = """
+import os, time
+from pathlib import Path
+
+kept = []
+
+def grow(megabytes):
+    import psutil
+    kept.append(os.urandom(1) * (megabytes * 10**6))
+    time.sleep(0.6)
+    return os.getpid(), psutil.Process().memory_info().rss
+
+def stay(_):
+    Path(f"{os.getpid()}.pid").touch()
+    time.sleep(600)
+"""
+GROWING = """
+from tasks import grow
+from toolkit.parallel import open_workers
+
+with open_workers(2, say=print) as workers:
+    first, second = list(workers.map(grow, [110] * 8)), list(workers.map(grow, [0] * 4))
+print(len({pid for pid, _ in first}), {pid for pid, _ in second} <= {pid for pid, _ in first})
+print(max(size for _, size in first) > 300e6)
+"""
+STAYING = """
+from tasks import stay
+from toolkit.parallel import open_workers
+
+with open_workers(2) as workers:
+    list(workers.map(stay, [1, 2]))
+"""
+
+
+def started(script: str, folder: Path, **options) -> subprocess.Popen:
+    """A user's script that starts workers, without a guard around what it does."""
+    (folder / "tasks.py").write_text(TASKS)
+    (folder / "script.py").write_text(script)
+    return subprocess.Popen([sys.executable, "script.py"], cwd=folder, stderr=subprocess.PIPE, text=True, **options)
+
+
+def test_workers_that_grow_stay_and_nobody_warns(tmp_path):
+    pytest.importorskip("psutil")  # without it, nobody looks at the size of a process
+    assert started(GROWING, tmp_path, stdout=subprocess.PIPE).communicate(timeout=300) == ("2 True\nTrue\n", "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_workers_end_with_their_main_process(number, tmp_path):
+    main = started(STAYING, tmp_path, start_new_session=True)
+    wait_for(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+    # Ctrl-C goes to all processes of a terminal.
+    os.killpg(main.pid, number) if number == signal.SIGINT else main.send_signal(number)
+    main.communicate(timeout=60)
+    wait_for(lambda: not any(Path("/proc", path.stem).exists() for path in tmp_path.glob("*.pid")))
+
+
+def wait_for(ready, seconds=60):
+    deadline = time.monotonic() + seconds
+    while not ready():
+        assert time.monotonic() < deadline, "waited for too long"
+        time.sleep(0.05)
+
+
 def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TOOLKIT_CACHE", os.path.relpath(os.environ["TOOLKIT_CACHE"]))
-    runs = [run_experiment(load_experiment("small.yaml"), RunOptions(out=tmp_path / str(n), workers=n)) for n in (2, 1)]
+    runs = [
+        drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=tmp_path / str(n), workers=n)) for n in (2, 1)
+    ]
     assert lines(runs[0]) == lines(runs[1]) == lines(reference)
     assert all(json.loads(line)["cached"] for line in (runs[1] / "rows.jsonl").read_text().splitlines())
+
+
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("toolkit.parallel.dask._ALONE_S", 1)
+    with open_workers(2, "dask") as workers:
+        workers.client.cluster.scale(0)
+        wait_for(lambda: not workers.client.scheduler_info()["workers"])
+        with pytest.raises(ToolkitError, match="the dask cluster on this machine was lost; finished rows are kept"):
+            list(workers.map(abs, [-1, -2]))
 
 
 def test_a_worker_with_other_code_is_refused():
@@ -234,8 +310,8 @@ def shards(folder, reference, tmp_path_factory):
     try:
         for number in (1, 2):
             options = RunOptions(out=out / str(number), shard=Shard(number, 2))
-            run_experiment(load_experiment("small.yaml"), options)
-        run_experiment(load_experiment("small.yaml"), RunOptions(out=out / "whole"))
+            drive(Ablation(), load_experiment("small.yaml"), options)
+        drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=out / "whole"))
     finally:
         os.chdir(before)
     return out
@@ -341,9 +417,10 @@ def test_rearrangements_shard_too(folder, tmp_path, monkeypatch):
     changes = {"dataset.scenes": [2], "pipeline.views": ["all"], "rearrange.rounds": [1]}
     loaded = load_experiment("small.yaml", changes, rearranges=True)
     runs = [
-        run_rearrangement(loaded, RunOptions(out=tmp_path / str(number), shard=Shard(number, 2))) for number in (1, 2)
+        drive(Rearrangement(), loaded, RunOptions(out=tmp_path / str(number), shard=Shard(number, 2)))
+        for number in (1, 2)
     ]
-    whole = run_rearrangement(loaded, RunOptions(out=tmp_path / "whole"))
+    whole = drive(Rearrangement(), loaded, RunOptions(out=tmp_path / "whole"))
     assert lines(merge_shards(runs, tmp_path / "merged")) == lines(whole)
     with pytest.raises(ToolkitError, match="fewer scenes than shards"):
-        run_rearrangement(loaded, RunOptions(out=tmp_path / "none", shard=Shard(3, 3)))
+        drive(Rearrangement(), loaded, RunOptions(out=tmp_path / "none", shard=Shard(3, 3)))

@@ -38,9 +38,13 @@ def test_entries_come_back_and_damaged_ones_count_as_absent(tmp_path):
     assert cache.load(key) is None
     cache.store(key, {"a": np.arange(3)})
     np.testing.assert_array_equal(cache.load(key)["a"], [0, 1, 2])
-    (entry,) = tmp_path.rglob("*.npz")
-    entry.write_bytes(entry.read_bytes()[:20])
-    assert cache.load(key) is None
+    (entry,) = tmp_path.rglob("*.entry")
+    whole = entry.read_bytes()
+    for damaged in (b"", whole[:20], whole[:-1], bytes(len(whole)), whole[:-20] + bytes(20)):
+        entry.write_bytes(damaged)
+        assert cache.load(key) is None
+    cache.store(key, {"a": np.arange(3)})
+    assert entry.read_bytes() == whole
 
 
 def test_a_cache_that_cannot_be_written_stops_nothing(tmp_path):

@@ -5,7 +5,8 @@ import textwrap
 import pytest
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.experiment import expand, load_experiment, parse_set, shipped_experiments
+from toolkit.harness.experiment import Cell, expand, load_experiment
+from toolkit.settings import parse_set, shipped_settings
 
 BASE = """
 name: mine
@@ -32,7 +33,7 @@ def write(tmp_path):
     return _write
 
 
-@pytest.mark.parametrize("name", list(shipped_experiments()))
+@pytest.mark.parametrize("name", list(shipped_settings()))
 def test_shipped_experiments_are_valid(name):
     assert load_experiment(name).name == name
     assert expand(load_experiment(name))
@@ -62,6 +63,39 @@ def test_settings_stay_with_their_implementation(write):
     assert deep.resolved()["pipeline"]["retriever"]["top_k"] == 3
 
 
+REARRANGED = BASE + "rearrange: {executor: arm}\n"
+
+
+def executor(path, **overrides):
+    (cell,) = expand(load_experiment(path, {f"rearrange.executor.{key}": [value] for key, value in overrides.items()}))
+    return cell.resolved()["rearrange"]["executor"]
+
+
+def test_a_stage_that_another_works_with_is_chosen_as_every_other(write):
+    path = write(REARRANGED)
+    plain = executor(path)
+    assert plain["grasp"]["name"] == "antipodal" and plain["grasp"]["friction"] == 0.4
+    assert plain["motion"]["name"] == "ompl"
+    assert executor(path, grasp="antipodal") == executor(path, **{"grasp.name": "antipodal"}) == plain
+    deep = executor(path, **{"grasp.friction": 0.3})
+    assert deep == plain | {"grasp": plain["grasp"] | {"friction": 0.3}}
+    assert executor(path, **{"grasp.friction": 0.3, "grasp.name": "antipodal"}) == deep
+    other = executor(path, **{"grasp.name": "contact_graspnet", "grasp.least_score": 0.3})
+    assert other["grasp"]["name"] == "contact_graspnet" and other["grasp"]["least_score"] == 0.3
+    with_settings = REARRANGED.replace("arm", "{name: arm, grasp: {name: antipodal, friction: 0.3}}")
+    assert executor(write(with_settings))["grasp"]["friction"] == 0.3
+    changed = executor(write(with_settings), **{"grasp.name": "contact_graspnet"})
+    assert changed["grasp"]["name"] == "contact_graspnet"
+
+
+def test_a_stage_that_another_works_with_sweeps(write):
+    swept = {"rearrange.executor.grasp.name": ["antipodal", "contact_graspnet"]}
+    cells = expand(load_experiment(write(REARRANGED), swept))
+    assert [cell.name for cell in cells] == ["executor.grasp=antipodal", "executor.grasp=contact_graspnet"]
+    assert [cell.rearrange.executor.settings["grasp"] for cell in cells] == ["antipodal", "contact_graspnet"]
+    assert [Cell.read(cell.resolved()).resolved() for cell in cells] == [cell.resolved() for cell in cells]
+
+
 def test_every_default_is_written_out(write):
     (cell,) = expand(load_experiment(write(BASE)))
     resolved = cell.resolved()
@@ -82,7 +116,12 @@ def test_named_cells_multiply_with_the_sweep(write):
         (BASE + "  pnp: [", {}, r"mine.yaml', line \d+"),
         ("- a list", {}, "must be a mapping"),
         (BASE + "sceens: 3\n", {}, "unknown setting 'sceens'"),
+        (BASE + "sweep:\n", {"pipeline.matcher": ["sift"]}, "setting 'sweep'"),
         (BASE, {"pipeline.matcher": ["sfit"]}, "unknown matcher 'sfit'; did you mean 'sift'"),
+        (REARRANGED, {"rearrange.executor.grasp": ["antipodl"]}, "unknown grasp 'antipodl'; did you mean 'antipodal'"),
+        (REARRANGED, {"rearrange.executor.grasp.fricton": [1]}, "grasp 'antipodal': unknown setting 'fricton'; did"),
+        (REARRANGED, {"rearrange.executor.grap.name": ["a"]}, "executor 'arm': unknown setting 'grap'; did you mean"),
+        (REARRANGED, {"rearrange.executor.grasp": [3]}, "grasp: Input should be a valid dictionary"),
         (BASE, {"pipeline.matchr": ["sift"]}, "unknown setting 'matchr'; did you mean 'matcher'"),
         (BASE, {"pipeline.matcher.ratoi": [1]}, "unknown setting 'ratoi'; did you mean 'ratio'"),
         (BASE, {"dataset.scene": [1]}, "dataset: unknown setting 'scene'; did you mean 'scenes'"),
@@ -103,6 +142,13 @@ def test_an_unknown_experiment_is_answered_with_the_nearest(tmp_path):
         load_experiment("quikc")
     with pytest.raises(ToolkitError, match="cannot be read"):
         load_experiment(str(tmp_path / "absent.yaml"))
+
+
+def test_a_file_that_is_no_text_is_one_sentence(tmp_path):
+    (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\x00\xff")
+    with pytest.raises(ToolkitError, match="not YAML") as error:
+        load_experiment(str(tmp_path / "binary.yaml"))
+    assert "\n" not in str(error.value)
 
 
 def test_set_options_are_yaml():

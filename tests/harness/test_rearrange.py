@@ -14,22 +14,23 @@ from usual import USUAL
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
-from toolkit.geometry import invert, make_transform, rotation_z
-from toolkit.harness.ablate import run_experiment
+from toolkit.geometry import invert, make_transform, rotation_z, transform_points
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import expand, load_experiment
-from toolkit.harness.rearrange import run_rearrangement
+from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions
 from toolkit.perception.database import Database
 from toolkit.perception.regions import lift_segment
 from toolkit.pictures.film import Film
-from toolkit.rearrangement.episode import EpisodeSettings, rearrange
+from toolkit.rearrangement.episode import EpisodeSettings, begun, rearrange
 from toolkit.rearrangement.executors.kinematic import Kinematic
 from toolkit.rearrangement.sight import SightSettings, correct, look
 from toolkit.results.completion import MoveRow, summarize_completion
 from toolkit.results.metrics import pose_error
-from toolkit.results.report.completion_page import failure_table
+from toolkit.results.report.page import failures
 from toolkit.results.rows import read_rows_as
-from toolkit.stages import PLANNERS
+from toolkit.stages import EXECUTORS, PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment
 
 PIPELINE = USUAL | {"refiner": "render_compare", "assignment": "global"}
@@ -58,8 +59,10 @@ def lines(run):
 
 def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
     runs = [
-        run_rearrangement(
-            load_experiment(str(experiment)), RunOptions(out=tmp_path / str(n), workers=n, use_cache=n > 1)
+        drive(
+            Rearrangement(),
+            load_experiment(str(experiment)),
+            RunOptions(out=tmp_path / str(n), workers=n, use_cache=n > 1),
         )
         for n in (1, 2)
     ]
@@ -77,34 +80,57 @@ def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
     # What a killed run leaves is taken up again.
     killed = runs[0]
     (killed / "rows.jsonl").write_text("\n".join((killed / "rows.jsonl").read_text().splitlines()[:3]))
-    run_rearrangement(load_experiment(str(experiment)), RunOptions(out=killed, resume=True))
+    drive(Rearrangement(), load_experiment(str(experiment)), RunOptions(out=killed, resume=True))
     assert lines(killed) == lines(runs[1])
 
     # The first round of several is what one step gives.
     one = load_experiment(str(experiment), {"rearrange.rounds": [1]})
-    one_step = read_rows_as(MoveRow, run_rearrangement(one, RunOptions(out=tmp_path / "one")) / "rows.jsonl")
+    one_step = read_rows_as(MoveRow, drive(Rearrangement(), one, RunOptions(out=tmp_path / "one")) / "rows.jsonl")
     assert [row.success_sym for row in one_step] == [row.right_after[0] for row in rows]
     assert summarize_completion(rows)[0].completion_sym_one_step == summarize_completion(one_step)[0].completion_sym
 
 
 def test_objects_too_wide_for_the_gripper_are_named_and_the_run_goes_on(experiment, tmp_path):
     narrow = {"rearrange.executor.gripper_width_m": [0.005], "dataset.scenes": [1]}
-    run = run_rearrangement(load_experiment(str(experiment), narrow), RunOptions(out=tmp_path / "run"))
+    run = drive(Rearrangement(), load_experiment(str(experiment), narrow), RunOptions(out=tmp_path / "run"))
     rows = read_rows_as(MoveRow, run / "rows.jsonl")
     assert not any(row.success_sym for row in rows)
     wide = [row for row in rows if row.stage == "executor"]
     assert wide and all("cm wide, the gripper opens 0.5 cm" in row.reason for row in wide)
     # What such an object stands in the way of is not tried.
     assert all("which cannot be moved" in row.reason for row in rows if row not in wide)
-    reasons = {(cell, stage): (reason, count) for cell, stage, reason, count in failure_table(rows)}
+    reasons = {(cell, stage): (reason, count) for cell, stage, reason, count in failures(rows)}
     assert reasons["small", "executor"] == ("the object is N cm wide, the gripper opens N cm", len(wide))
     assert "the gripper opens N cm" in (run / "report.html").read_text()
+
+
+def test_weights_of_planner_and_executor_are_named(experiment, tmp_path, monkeypatch):
+    class Weighty(Kinematic):
+        """Moves by a network."""
+
+        name = "weighty"
+
+        def digests(self):
+            return {"policy.pt": "a" * 64}
+
+    monkeypatch.setattr(EXECUTORS, "_entries", dict(EXECUTORS._entries))
+    EXECUTORS.register(Weighty, "here")
+    chosen = {"rearrange.executor": ["weighty"], "dataset.scenes": [1], "rearrange.rounds": [1]}
+    run = drive(Rearrangement(), load_experiment(str(experiment), chosen), RunOptions(out=tmp_path / "run"))
+    weights = [row.weights for row in read_rows_as(MoveRow, run / "rows.jsonl")]
+    weights.append(json.loads((run / "meta.json").read_text())["weights"])
+    assert weights == [{"policy.pt": "a" * 64}] * 3
 
 
 MISTAKES = {
     "captures": ({"dataset": {"path": "somewhere"}}, "cannot be rearranged"),
     "planner": ({"rearrange": {"planner": "optmal"}}, "did you mean 'optimal'?"),
     "setting": ({"rearrange": {"planner": {"name": "paper", "max_trys": 3}}}, "did you mean 'max_tries'?"),
+    "grasp": ({"rearrange": {"executor": {"name": "arm", "grasp": "antipodl"}}}, "did you mean 'antipodal'?"),
+    "grasp setting": (
+        {"rearrange": {"executor": {"name": "arm", "grasp": {"name": "antipodal", "fricton": 1}}}},
+        "grasp 'antipodal': unknown setting 'fricton'; did you mean 'friction'?",
+    ),
     "rounds": ({"rearrange": {"rounds": 0}}, "rounds"),
     "recording": ({"rearrange": {"executor": {"name": "replay", "folder": "nowhere"}}}, "is no recording"),
     "objects": ({"dataset": {"objects": "nowhere"}}, "is not a folder"),
@@ -116,13 +142,13 @@ def test_mistakes_are_named_before_any_work(case, experiment, tmp_path):
     change, said = MISTAKES[case]
     experiment.write_text(yaml.safe_dump({**yaml.safe_load(experiment.read_text()), **change}))
     with pytest.raises(ToolkitError, match=said):
-        run_rearrangement(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+        drive(Rearrangement(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
 def test_ablate_sends_rearrangements_on(experiment, tmp_path):
     with pytest.raises(ToolkitError, match="run it with `toolkit rearrange`"):
-        run_experiment(load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
+        drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
 
 
 def test_any_experiment_can_be_rearranged_and_stages_sweep():
@@ -184,7 +210,8 @@ def executor():
 
 def run(scene, executor, planner="optimal", errors=EXACT, **settings):
     pipeline = KnownPipeline(scene, executor, errors)
-    return rearrange(scene, pipeline, PLANNERS.create(planner), executor, EpisodeSettings(**settings), seed=0)
+    goal = executor.begin(scene)
+    return rearrange(goal, pipeline, PLANNERS.create(planner), executor, EpisodeSettings(**settings), seed=0)
 
 
 def right(scene, state):
@@ -226,10 +253,22 @@ def test_perception_that_breaks_is_a_named_failure(scene, executor):
         def estimate(self, database, goal):
             raise ZeroDivisionError("oops")
 
-    pipeline = Broken(scene, executor)
-    episode = rearrange(scene, pipeline, PLANNERS.create("optimal"), executor, EpisodeSettings(), seed=0)
+    pipeline, goal = Broken(scene, executor), executor.begin(scene)
+    episode = rearrange(goal, pipeline, PLANNERS.create("optimal"), executor, EpisodeSettings(), seed=0)
     assert episode.broken == Failure("pipeline", "ZeroDivisionError: oops")
     assert episode.moves == Counter()
+
+
+def test_nothing_hides_why_a_task_cannot_be_taken_up(scene):
+    class Clumsy(Kinematic):
+        def begin(self, task):
+            raise ToolkitError("the robot does not answer")
+
+        def close(self):
+            raise AttributeError("_arm")
+
+    with pytest.raises(ToolkitError, match="the robot does not answer"), begun(Clumsy(), scene):
+        pass
 
 
 def test_a_film_shows_the_goal_beside_what_happens(scene, executor, tmp_path):
@@ -280,7 +319,19 @@ def test_an_instance_goes_to_the_goal_object_that_is_surest(scene, executor):
     sight, _ = seen(scene, executor, claim)
     assert sight.goal_objects == {0: 1, 2: 2}
     assert "goal object 1 is taken for the same object" in sight.failures[0].reason
-    assert sight.table.item(1).goal is None and sight.table.item(0).goal is not None
+    assert sight.layout.item(1).goal is None and sight.layout.item(0).goal is not None
+
+
+def test_what_a_move_changes_is_another_sight(scene, executor):
+    sight, _ = seen(scene, executor)
+    was = {number: cloud.copy() for number, cloud in sight.clouds.items()}
+    move = sight.layout.items[0].to_goal()
+    then = sight.after(move)
+    np.testing.assert_allclose(then.clouds[0], transform_points(move.T_place_pick, was[0]))
+    assert then.layout.item(0).settled and not sight.layout.item(0).settled
+    for number, cloud in was.items():
+        np.testing.assert_array_equal(sight.clouds[number], cloud)
+        assert number == 0 or then.clouds[number] is sight.clouds[number]
 
 
 def test_what_looks_settled_in_one_of_its_equivalents_is(scene, executor):
@@ -288,13 +339,13 @@ def test_what_looks_settled_in_one_of_its_equivalents_is(scene, executor):
         return [changed(estimates[0], equivalents=np.stack([estimates[0].T_goal_current, np.eye(4)])), *estimates[1:]]
 
     sight, _ = seen(scene, executor, symmetric)
-    assert [item.settled for item in sight.table.items] == [True, False, False]
+    assert [item.settled for item in sight.layout.items] == [True, False, False]
 
 
 def test_failed_estimates_keep_their_reason(scene, executor):
     failure = Failure("matcher", "no match")
     sight, _ = seen(scene, executor, lambda e: [changed(e[0], T_goal_current=None, failure=failure), *e[1:]])
-    assert sight.failures == {0: failure} and not sight.table.item(0).wanted
+    assert sight.failures == {0: failure} and not sight.layout.item(0).wanted
 
 
 def test_objects_keep_their_names_from_look_to_look(scene, executor):
@@ -310,9 +361,9 @@ def test_objects_keep_their_names_from_look_to_look(scene, executor):
     frames = executor.observe()
     first = look(KnownPipeline(scene, executor), frames, goal, SightSettings())
     second = look(Renamed(scene, executor), frames, goal, SightSettings())
-    assert not np.allclose(first.table.item(0).footprint.center, second.table.item(0).footprint.center)
+    assert not np.allclose(first.layout.item(0).footprint.center, second.layout.item(0).footprint.center)
     merged = correct(first, second)
-    for item, before in zip(merged.table.items, first.table.items, strict=True):
+    for item, before in zip(merged.layout.items, first.layout.items, strict=True):
         assert item.object == before.object
         np.testing.assert_allclose(item.footprint.support, before.footprint.support)
         np.testing.assert_allclose(item.T_goal_current, before.T_goal_current)

@@ -32,6 +32,7 @@ from toolkit.perception.refiners.comparing.images import normalized
 from toolkit.perception.refiners.comparing.likeness import unlikeness
 from toolkit.perception.refiners.comparing.rotations import resting_rotations, yaw_rotations
 from toolkit.perception.refiners.comparing.verdict import judge
+from toolkit.perception.refiners.render_compare import RenderCompare
 from toolkit.perception.regions import lift_segment
 from toolkit.results.metrics import pose_error
 from toolkit.results.scoring import score
@@ -141,27 +142,102 @@ def fuse_center(task):
     return task.models.get(task.instance).center
 
 
-def test_the_gauss_newton_gradient_is_the_derivative(tasks):
-    """Finite differences of the robust cost along every free direction, at a generic pose."""
+@pytest.fixture(scope="module")
+def unaligned(tasks):
+    """Source, goal, rotation and place of a model that lies beside its goal, tilted, in float64."""
     task = next(iter(tasks.values()))
     cloud = Cloud(task.models.get(task.instance), LEVELS_PX, np.zeros(3))
-    goal = view_goal(task.goal, task.segment, ())
-    points, values, weights = cloud.patch(0, np.eye(3), cloud.model.patches[0].observation)
-    source = alignment.Source(*(jnp.asarray(a) for a in (points, values, weights)), jnp.asarray(cloud.points))
-    R = jnp.asarray(Rotation.from_rotvec([0.1, -0.2, 0.4]).as_matrix(), jnp.float32)
-    _, duv = alignment._project(source.points @ R.T + jnp.asarray(cloud.center, jnp.float32), goal.image)
-    J = duv @ alignment._motion(source.points @ R.T)
-    for k in range(6):
-        step = np.zeros(6, np.float32)
-        step[k] = 1e-3
+    patch = cloud.patch(0, np.eye(3), cloud.model.patches[0].observation)
+    goal = view_goal(task.goal, task.segment, ()).image
+    truth = RenderCompare().refine(task).T_goal_current
+    turn = Rotation.from_rotvec([0.06, -0.04, 0.1]).as_matrix() @ truth[:3, :3]
+    place = transform_points(truth, cloud.center) + np.array([0.004, -0.003, 0.002])
+    with jax.enable_x64(True):
+        source, goal, turn, place = jax.tree.map(
+            lambda part: jnp.asarray(part, jnp.float64), (alignment.Source(*patch, cloud.points), goal, turn, place)
+        )
+    return source, goal, turn, place
 
-        def moved(sign, step=step):
-            turn = rotation_exp(jnp.asarray(sign * step[:3])) @ R
-            place = jnp.asarray(cloud.center, jnp.float32) + sign * step[3:]
-            return alignment._project(source.points @ turn.T + place, goal.image)[0]
 
-        numeric = (moved(1) - moved(-1)) / 2e-3
-        np.testing.assert_allclose(J[..., k], numeric, rtol=0.02, atol=0.5)
+def derivatives(residuals, turn, place, step=1e-6):
+    """(..., 6) numeric derivatives of residuals by (turn, shift)."""
+    columns = []
+    for delta in step * jnp.eye(6):
+        ahead, behind = (residuals(rotation_exp(s * delta[:3]) @ turn, place + s * delta[3:]) for s in (1, -1))
+        columns.append((ahead - behind) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def equations(residuals, weights, turn, place):
+    """Gauss-Newton matrix and gradient of (M, C) residuals with (M,) weights, by numeric derivatives."""
+    J, r = derivatives(residuals, turn, place), np.asarray(residuals(turn, place))
+    return np.einsum("m,mck,mcl->kl", weights, J, J), np.einsum("m,mck,mc->k", weights, J, r)
+
+
+@pytest.mark.parametrize("moves", [np.ones(6), np.array([0, 0, 1, 1, 1, 0])], ids=["free", "planar"])
+def test_the_gauss_newton_equations_are_those_of_the_four_residuals(unaligned, moves, monkeypatch):
+    """Each residual written down again, differentiated numerically, weighted, and summed."""
+    source, goal, turn, place = unaligned
+    with jax.enable_x64(True):
+        pixels = seen(source.shape, goal, turn, place)
+        nearest = alignment._nearest(*(x.astype(jnp.float32) for x in (goal.contour, pixels)))
+    monkeypatch.setattr(alignment, "_nearest", lambda queries, points: nearest)
+    level, table, part = 1, 0.001, goal.contour_weight.sum() / len(source.shape)
+
+    def photometric(R, t):
+        return alignment._sample(goal.values[level], seen(source.points, goal, R, t))[0] - source.values[level]
+
+    def inside(R, t):
+        distance, _, near = alignment._sample(goal.outside[..., None], seen(source.shape, goal, R, t))
+        return jnp.maximum(distance - 0.5, 0) * near[:, None]
+
+    def outline(R, t):
+        gap = goal.contour - seen(source.shape, goal, R, t)[nearest]
+        return (goal.normals * gap).sum(axis=1, keepdims=True) - 0.5
+
+    def contact(R, t):
+        return (lowest @ ((source.shape @ R.T + t)[:, 2] - table))[None, None]
+
+    with jax.enable_x64(True):
+        lowest = jax.nn.softmax(-(source.shape @ turn.T + place)[:, 2] / alignment._CONTACT_M)
+        near = alignment._sample(goal.values[level], seen(source.points, goal, turn, place))[2]
+        off = (photometric(turn, place) ** 2).sum(axis=1) / (3 * alignment._PHOTO_SIGMA) ** 2
+        trust = near * source.weights * alignment._PHOTO_SHARE / alignment._PHOTO_SIGMA**2
+
+        def edge(residuals, weight):
+            r = residuals(turn, place)[:, 0]
+            return weight / (1 + (r / alignment._EDGE_REACH_PX) ** 2) ** 2 / alignment._EDGE_SIGMA_PX**2
+
+        weights = {
+            photometric: trust / (1 + off) ** 2,
+            inside: edge(inside, part * (inside(turn, place)[:, 0] > 0)),
+            outline: edge(outline, goal.contour_weight),
+            contact: np.ones(1) / alignment._CONTACT_M**2,
+        }
+        free = alignment.Freedom(*(jnp.asarray(v, jnp.float64) for v in (moves, 1.0, table)))
+        found = alignment._normal_equations(turn, place, source, goal, level, free)
+        turned = source.shape @ turn.T
+        uv, duv = alignment._project(turned + place, goal)
+        moved, rise = duv @ (alignment._motion(turned) * moves), alignment._motion(turned)[:, 2] * moves
+        terms = {
+            photometric: alignment._photometric(turn, place, source, goal, level, free.moves),
+            inside: alignment._inside(uv, moved, goal),
+            outline: alignment._outline(uv, moved, goal),
+            contact: alignment._contact((turned + place)[:, 2] - table, rise, free.rests),
+        }
+        expected = {r: equations(r, np.asarray(w), turn, place) for r, w in weights.items()}
+    total = [sum(parts) for parts in zip(*expected.values(), strict=True)]
+    for (H, gradient), (want_H, want_gradient) in [(found, total), *((terms[r], expected[r]) for r in weights)]:
+        assert np.abs(want_H).max() > 1 and np.abs(want_gradient).max() > 1
+        want_H, want_gradient = want_H * np.outer(moves, moves), want_gradient * moves
+        np.testing.assert_allclose(H, want_H, rtol=1e-3, atol=1e-3 * np.abs(want_H).max())
+        np.testing.assert_allclose(gradient, want_gradient, rtol=1e-3, atol=1e-3 * np.abs(want_gradient).max())
+
+
+def seen(points, goal, R, t):
+    """(M, 2) pixels of the crop that (M, 3) model points are seen at: the pinhole camera, written down again."""
+    camera = (points @ R.T + t) @ goal.R.T + goal.t
+    return (camera @ goal.K.T)[:, :2] / camera[:, 2:]
 
 
 def test_normalised_images_ignore_light_and_background():
@@ -220,6 +296,8 @@ def test_nothing_recompiles_after_warm_up(tasks):
     for task in tasks.values():
         REFINERS.create("render_compare").refine(replace(task, starts=(Start(rotation_z(1.0)),), others=()))
     assert not compilations
+    jax.jit(lambda x: x + 1)(jnp.ones(3))
+    assert compilations  # they would have been noticed
 
 
 def test_a_refiner_lets_go_of_scenes_that_are_done(tasks):

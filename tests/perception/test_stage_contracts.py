@@ -29,15 +29,20 @@ CASES = [
 ]
 
 
+SMALL = {"crop_size": 160, "max_features": 256}
+"""What networks find at this size is as right or wrong as at theirs."""
+
+
 @pytest.fixture(scope="session")
-def random_weights(tmp_path_factory):
-    """Settings, by stage and name, that give networks random weights, in files as their authors name them."""
+def chosen(tmp_path_factory):
+    """Settings, by stage and name: small crops, and random weights, in files as their authors name them."""
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("weights")
     loftr, backbone = folder / "loftr_outdoor.ckpt", folder / "efficientnet-lite0-57934424.pth"
     torch.save({"state_dict": LoFTR(pretrained=None).state_dict()}, loftr)
     torch.save(EfficientNetLite0().state_dict(), backbone)
     return {
+        **{("matcher", name): SMALL for name in ("aliked_lightglue", "disk_lightglue", "xfeat_lighterglue")},
         # Random weights are confident of nothing: let every mutual match through.
         ("matcher", "loftr"): {"weights": "outdoor", "file": str(loftr), "crop_size": 128, "threshold": 0.0},
         ("descriptor", "gem"): {"backbone_file": str(backbone)},
@@ -46,12 +51,12 @@ def random_weights(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def find_subject(random_weights):
+def find_subject(chosen):
     """Subject by stage and name, or the sentence that says what it lacks."""
 
     @lru_cache
     def find(stage, name):
-        subject = Subject(REGISTRIES[stage].get(name), random_weights.get((stage, name), {}))
+        subject = Subject(REGISTRIES[stage].get(name), chosen.get((stage, name), {}))
         try:
             make_ready(subject)
         except ToolkitError as error:
@@ -115,7 +120,7 @@ def test_turned_crops_match_where_they_were(quarters):
     class Pixels(TurningMatcher):
         """Matches every tenth pixel of an object to the same pixel, where both images are equal."""
 
-        Config = TurningConfig
+        crop_size = 64
 
         def extract_upright(self, crops):
             return crops

@@ -15,8 +15,10 @@ from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
 from toolkit.geometry import make_transform, transform_points
-from toolkit.harness.ablate import RunOptions, run_experiment
+from toolkit.harness.ablate import Ablation
+from toolkit.harness.drive import drive
 from toolkit.harness.experiment import Cell, expand, load_experiment
+from toolkit.harness.runs import RunOptions
 from toolkit.harness.view import open_viewer, view_capture, view_scene, worst_table
 from toolkit.perception.database import Database
 from toolkit.perception.fusion import fuse
@@ -172,7 +174,7 @@ def run(tmp_path_factory):
         "sweep": {"pipeline.views": ["all", 1]},
     }
     (folder / "small.yaml").write_text(yaml.safe_dump(data))
-    return run_experiment(load_experiment(str(folder / "small.yaml")), RunOptions(out=folder / "run"))
+    return drive(Ablation(), load_experiment(str(folder / "small.yaml")), RunOptions(out=folder / "run"))
 
 
 def test_a_scene_of_a_run_is_recorded_as_the_run_estimated_it(run, read):

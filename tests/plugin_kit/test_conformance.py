@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +17,11 @@ from toolkit.errors import ToolkitError
 from toolkit.perception.indexes.numpy import NumpyIndex
 from toolkit.perception.retrieval.brute_force import BruteForce
 from toolkit.perception.retrieval.instance_vote import InstanceVote
-from toolkit.plugin_kit.conformance import check_plugin, checks_of
+from toolkit.plugin_kit.conformance import check_plugin, checks_of, general, kit
+from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.planners.optimal import Optimal
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.sim.robots import ROBOTS
 from toolkit.stages import REGISTRIES
 from toolkit.types import Failure
 from toolkit.weights.cards import WeightCard
@@ -31,15 +35,26 @@ def notes(plugin, **settings):
 
 
 def test_every_stage_has_checks_of_its_own():
-    assert all(len(checks_of(stage)) > len(checks_of("index")) - 5 > 0 for stage in REGISTRIES)
+    for stage in REGISTRIES:
+        own = [check for check in checks_of(stage) if check not in general.CHECKS]
+        assert checks_of(stage) == [*general.CHECKS, *own]
+        assert len(own) >= 2 and {check.__module__ for check in own} == {kit.STAGE_CHECKS[stage]}
     with pytest.raises(ToolkitError, match="unknown stage 'matchr'"):
         checks_of("matchr")
 
 
-def test_a_sound_plugin_passes_with_time_and_memory():
+def test_a_sound_plugin_passes_every_check():
     outcomes = check_plugin(NumpyIndex)
+    assert [outcome.check for outcome in outcomes] == [kit.title(check) for check in checks_of("index")]
     assert all(outcome.passed for outcome in outcomes)
-    assert all(outcome.seconds >= 0 and outcome.grown_mb >= 0 for outcome in outcomes)
+
+
+def test_an_outcome_has_the_time_and_memory_of_its_check(monkeypatch):
+    clock, peaks = iter([10.0, 12.5]), iter([100.0, 160.0])
+    monkeypatch.setattr(kit, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr(kit, "_peak_mb", lambda: next(peaks))
+    outcome = kit.run_check(lambda subject: "a remark", kit.Subject(NumpyIndex))
+    assert outcome == kit.Outcome("<lambda>", True, "a remark", 2.5, 60.0)
 
 
 class Broken(NumpyIndex):
@@ -159,10 +174,10 @@ def test_a_planner_that_runs_into_things_is_found():
         def start(self, seed):
             return self
 
-        def next(self, table):
+        def next(self, layout):
             from toolkit.rearrangement.moves import Finished
 
-            wanted = [item for item in table.items if item.wanted]
+            wanted = [item for item in layout.items if item.wanted]
             return wanted[0].to_goal() if wanted else Finished()
 
     assert "puts object 0 onto object [1]" in notes(Blind)["a swap is solved without a collision"]
@@ -180,6 +195,16 @@ def test_an_empty_answer_where_a_failure_is_due_is_found():
     found = notes(Silent)
     assert "an empty list must be a Failure" in found["no grasp is a failure"]
     assert "no grasp of an easy box" in found["grasps hold a box"]
+
+
+def test_a_grasper_that_knows_one_gripper_only_is_found():
+    class Stubborn(Antipodal):
+        """Grasps for the gripper at hand, whatever is asked."""
+
+        def grasp(self, request, seed):
+            return super().grasp(replace(request, gripper=ROBOTS["gen3"].gripper), seed)
+
+    assert set(notes(Stubborn)) == {"what the gripper does not span is a failure"}
 
 
 def run(*command, folder):

@@ -10,11 +10,14 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+import yaml
 
 from toolkit.errors import ToolkitError
 from toolkit.plugin_kit.conformance import Subject, check_plugin, checks_of, run_check
 from toolkit.plugin_kit.scaffold import new_plugin
 from toolkit.registry import load_plugin_file
+from toolkit.results.completion import MoveRow
+from toolkit.results.rows import read_rows_as
 from toolkit.stages import REGISTRIES
 
 ROOT = Path(__file__).parents[2]
@@ -51,6 +54,41 @@ def test_it_installs_and_its_own_test_passes(tmp_path):
     assert "passes all 10 checks" in done.stdout
     done = run("-m", "pytest", "-q", "-p", "toolkit.plugin_kit.pytest_plugin", "-p", "no:cacheprovider", "tests")
     assert "10 passed" in done.stdout, done.stdout
+
+
+def test_a_new_grasper_and_motion_planner_work_in_the_arm(tmp_path):
+    """Loaded by path, chosen and set as every stage is, and an object ends where it was to be put."""
+    plugins = [new_plugin(stage, f"my_{stage}", tmp_path / stage) for stage in ("grasp", "motion")]
+    chosen = {
+        "rearrange.executor.robot": "panda",
+        "rearrange.executor.grasp.name": "my_grasp",
+        "rearrange.executor.grasp.spare_m": "0.008",
+        "rearrange.executor.motion.name": "my_motion",
+        "rearrange.executor.motion.goal_share": "0.3",
+        "rearrange.rounds": "1",
+        "dataset.views": "3",
+        "dataset.renderer": "tiny",
+        "dataset.supersample": "1",
+        "dataset.rotation_deg": "60",
+    }
+    arguments = ["rearrange", "arm", "--scenes", "1", "--workers", "1", "--out", tmp_path / "run"]
+    arguments += ["--pnp", "poselib", "--refiner", "none"]
+    arguments += [word for folder in plugins for word in ("--plugin", folder / f"toolkit_my_{folder.name}.py")]
+    arguments += [word for path, value in chosen.items() for word in ("--set", f"{path}={value}")]
+    done = subprocess.run(
+        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = read_rows_as(MoveRow, tmp_path / "run" / "rows.jsonl")
+    assert any(row.success_sym and row.moves for row in rows) and rows[0].motion_s > 5
+    (cell,) = yaml.safe_load((tmp_path / "run" / "experiment.resolved.yaml").read_text())["cells"]
+    parts = cell["rearrange"]["executor"]
+    assert parts["grasp"] == {"name": "my_grasp", "spare_m": 0.008, "depth_m": 0.03}
+    assert parts["motion"]["name"] == "my_motion" and parts["motion"]["goal_share"] == 0.3
 
 
 MISTAKES = {

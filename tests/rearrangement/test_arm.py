@@ -11,11 +11,13 @@ from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
 from toolkit.geometry import make_transform, transform_points
 from toolkit.rearrangement.executors.arm import Arm, ArmConfig
+from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.moves import PickPlace
 from toolkit.sim.bench import Bench
 from toolkit.sim.bullet import pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.robots import ROBOTS
+from toolkit.stages import GRASPERS
 
 CONFIG = TabletopConfig(scenes=1, min_objects=4, max_objects=4, views=2, seed=1, renderer="tiny", supersample=1)
 
@@ -132,12 +134,10 @@ def test_one_drive_moves_both_fingers():
     push = 2 * robot.model.grip * robot.T_world_hand()[:3, :3] @ robot.model.R_hand_gripper[:, 0]
     for _ in range(120):
         for tip in robot.tips:
-            at = pybullet.getLinkState(robot.body, tip, physicsClientId=bench.client)[0]
-            pybullet.applyExternalForce(
-                robot.body, tip, push.tolist(), at, pybullet.WORLD_FRAME, physicsClientId=bench.client
-            )
+            at = bench.client.link(robot.body, tip).mass_place
+            bench.client.applyExternalForce(robot.body, tip, push.tolist(), at, pybullet.WORLD_FRAME)
         bench.step(bench.target, np.zeros(7), "holding", None)
-    ways = [state[0] for state in pybullet.getJointStates(robot.body, [9, 10], physicsClientId=bench.client)]
+    ways = list(robot.finger_drives.values())
     bench.close()
     np.testing.assert_allclose(ways, 0.02, atol=5e-4)
 
@@ -154,6 +154,38 @@ def test_an_object_is_found_below_the_arm(scene):
     bench.close()
 
 
-def test_an_unknown_motion_planner_is_a_mistake(scene):
+def test_what_the_arm_works_with_is_checked_and_digested_with_it(monkeypatch):
+    class Weighty(Antipodal):
+        """Has weights."""
+
+        name = "weighty"
+
+        def check_ready(self):
+            raise ToolkitError("put its weights there")
+
+        def digests(self):
+            return {"grasps.pt": "a" * 64}
+
+    monkeypatch.setattr(GRASPERS, "_entries", dict(GRASPERS._entries))
+    GRASPERS.register(Weighty, "here")
+    executor = Arm(ArmConfig(robot="panda", grasp={"name": "weighty", "friction": 0.3}))
+    assert executor.digests() == {"grasps.pt": "a" * 64}
+    with pytest.raises(ToolkitError, match="put its weights there"):
+        executor.check_ready()
+
+
+def test_a_task_that_cannot_be_taken_up_leaves_nothing_open(scene, monkeypatch):
+    closed = []
+    monkeypatch.setattr(Bench, "close", lambda bench: closed.append(bench))
+    monkeypatch.setattr("toolkit.rearrangement.executors.arm.Clearance", lambda *_: 1 / 0)
+    executor = Arm(ArmConfig(robot="panda"))
+    with pytest.raises(ZeroDivisionError):
+        executor.begin(scene)
+    assert len(closed) == 1
+    executor.close()
+    assert len(closed) == 1
+
+
+def test_an_unknown_motion_planner_is_a_mistake():
     with pytest.raises(ToolkitError, match="unknown motion 'omlp'"):
-        Arm(ArmConfig(robot="panda", motion="omlp")).check_ready()
+        ArmConfig(robot="panda", motion="omlp")

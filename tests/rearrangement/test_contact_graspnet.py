@@ -12,7 +12,8 @@ from toolkit.models.contact_graspnet import ContactGraspNet, used
 from toolkit.models.pointnet2 import balls, farthest_points, interpolate
 from toolkit.rearrangement.grasps.contact_graspnet import ContactGraspnet, on_table
 from toolkit.rearrangement.grasps.geometry.surface import span
-from toolkit.rearrangement.moves import PickPlace
+from toolkit.rearrangement.moves import GraspRequest
+from toolkit.sim.robots import ROBOTS
 from toolkit.weights.load import fill
 
 POINTS = torch.rand(500, 3, generator=torch.Generator().manual_seed(0))
@@ -90,7 +91,8 @@ def test_the_network_sees_the_object_first_then_near_neighbours_and_table_beside
     rng = np.random.default_rng(0)
     thing = rng.uniform(-0.03, 0.03, (400, 3)) + np.array([0.2, 0, 0.03])
     near, far = thing + np.array([0, 0.1, 0]), thing + np.array([0, 0.5, 0])
-    cloud = on_table(PickPlace(thing, np.eye(4), np.concatenate([near, far])), 0.25, 0.01, rng)
+    request = GraspRequest(thing, np.eye(4), np.concatenate([near, far]), ROBOTS["gen3"].gripper, 0.08)
+    cloud = on_table(request, 0.25, 0.01, rng)
     np.testing.assert_array_equal(cloud[:800], np.concatenate([thing, near]))
     table = cloud[800:]
     assert (table[:, 2] == 0.01).all() and 3000 < len(table) < 5200

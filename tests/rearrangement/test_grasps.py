@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, rotation_z, transform_points
-from toolkit.rearrangement.grasps.geometry.gripper import Gripper, lowest
+from toolkit.rearrangement.grasps.geometry.gripper import boxes_of, lowest
 from toolkit.rearrangement.grasps.geometry.surface import normals
-from toolkit.rearrangement.moves import PickPlace
+from toolkit.rearrangement.moves import GraspRequest
+from toolkit.sim.robots import ROBOTS
 from toolkit.stages import GRASPERS
 from toolkit.types import Failure
 
 NOTHING = np.zeros((0, 3))
+GRIPPER = ROBOTS["gen3"].gripper
 FRICTION = 0.4
 SPACING = 0.003
 """Clouds are thinned out before they are checked: what overlaps by less may be missed."""
@@ -46,8 +50,8 @@ def antipodal():
     return GRASPERS.create("antipodal")
 
 
-def find(grasper, points, others=NOTHING, T=None, seed=0):
-    return grasper.grasp(PickPlace(points, np.eye(4) if T is None else T, others), seed)
+def find(grasper, points, others=NOTHING, T=None, seed=0, gripper=GRIPPER):
+    return grasper.grasp(GraspRequest(points, np.eye(4) if T is None else T, others, gripper, 0.08), seed)
 
 
 SHAPES = {
@@ -63,10 +67,9 @@ SHAPES = {
 def test_grasps_are_open_wide_enough_clear_and_point_down(grasper, shape):
     found = find(grasper, SHAPES[shape])
     assert not isinstance(found, Failure)
-    gripper = Gripper()
     for grasp in found:
-        assert 0 < grasp.opening <= gripper.stroke_m and 0 <= grasp.score <= 1
-        boxes = gripper.boxes(grasp.opening)
+        assert 0 < grasp.opening <= GRIPPER.stroke_m and 0 <= grasp.score <= 1
+        boxes = boxes_of(GRIPPER, grasp.opening)
         assert lowest(grasp.T_world_gripper, boxes) >= 0.003
         assert grasp.T_world_gripper[2, 2] < 0
         own = transform_points(invert(grasp.T_world_gripper), SHAPES[shape])
@@ -111,16 +114,29 @@ def test_neighbours_leave_only_the_grasps_that_miss_them(grasper):
     wall = box(0.3, 0.02, 0.2, at=(0, 0.045))
     free, beside = find(grasper, can), find(grasper, can, wall)
     assert not isinstance(beside, Failure)
-    gripper = Gripper()
     for grasp in beside:
         own = transform_points(invert(grasp.T_world_gripper), wall)
-        for low, high in gripper.boxes(grasp.opening):
+        for low, high in boxes_of(GRIPPER, grasp.opening):
             assert not ((own > low + SPACING) & (own < high - SPACING)).all(axis=1).any()
     across = [abs(grasp.T_world_gripper[1, 0]) for grasp in free]
     assert max(across) > 0.8 > max(abs(grasp.T_world_gripper[1, 0]) for grasp in beside)
     walls = np.concatenate([box(0.3, 0.02, 0.2, at=(0, y)) for y in (0.045, -0.045)])
     walls = np.concatenate([walls, transform_points(rotation_z(np.pi / 2), walls)])
     assert "another object" in find(grasper, can, walls).reason
+
+
+def test_the_gripper_that_is_asked_about_is_the_one_that_must_fit(grasper):
+    """A narrow one does not span what a wide one does; one with a wide palm does not come between two walls."""
+    narrow = replace(GRIPPER, stroke_m=0.03)
+    assert isinstance(find(grasper, SHAPES["box"], gripper=narrow), Failure)
+    walls = np.concatenate([box(0.02, 0.3, 0.2, at=(x, 0)) for x in (0.1, -0.1)])
+    assert not isinstance(find(grasper, SHAPES["bar"], walls), Failure)
+    wide = replace(GRIPPER, palm_m=(0.3, 0.3, 0.1))
+    assert "another object" in find(grasper, SHAPES["bar"], walls, gripper=wide).reason
+
+
+def test_fingers_close_on_the_object(antipodal):
+    assert {round(grasp.closed, 2) for grasp in find(antipodal, SHAPES["box"])} == {0.04}
 
 
 def test_there_must_be_room_where_it_is_put_as_well(grasper):

@@ -7,7 +7,7 @@ import pytest
 
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, length, shortcut
-from toolkit.stages import MOTION
+from toolkit.stages import MOTION_PLANNERS
 from toolkit.types import Failure
 
 
@@ -20,14 +20,14 @@ def closed(q):
     return abs(q[0]) >= 0.1
 
 
-def problem(free, start=(-0.5, -0.5, 0.0), goal=(0.5, -0.5, 0.0)):
+def problem(free, start=(-0.5, -0.5, 0.0), goal=(0.5, -0.5, 0.0), time_s=5.0):
     bound = np.ones(3)
-    return MotionProblem(np.array(start), np.array(goal), -bound, bound, free)
+    return MotionProblem(np.array(start), np.array(goal), -bound, bound, free, time_s)
 
 
-@pytest.fixture(params=MOTION.names())
+@pytest.fixture(params=MOTION_PLANNERS.names())
 def planner(request):
-    return MOTION.create(request.param, {"time_s": 5.0})
+    return MOTION_PLANNERS.create(request.param)
 
 
 def test_paths_lead_around_what_is_in_the_way(planner):
@@ -50,8 +50,8 @@ def test_the_same_seed_gives_the_same_path(planner):
 
 
 def test_failures_have_reasons():
-    planner = MOTION.create("ompl", {"time_s": 0.2})
-    found = planner.plan(problem(closed), seed=0)
+    planner = MOTION_PLANNERS.create("ompl")
+    found = planner.plan(problem(closed, time_s=0.2), seed=0)
     assert isinstance(found, Failure) and found.reason == "no motion was found within 0.2 s"
     found = planner.plan(problem(wall, goal=(0.0, 0.0, 0.0)), seed=0)
     assert "would touch something at the motion's goal" in found.reason

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.rearrangement.feedback import feedback_vertex_set, is_acyclic
 from toolkit.rearrangement.footprints import Footprint, gaps, planar_motion
-from toolkit.rearrangement.moves import Finished, Item, Table
+from toolkit.rearrangement.moves import Finished, Item, Layout
 from toolkit.rearrangement.planners.optimal import plan
 from toolkit.rearrangement.planners.ordering.order import EXACT_UP_TO, shortest_order, travelled
 from toolkit.rearrangement.planners.puzzles.rollout import rollout
@@ -138,15 +138,15 @@ def test_many_moves_are_ordered_within_precedence():
 # Plans
 
 
-def carry_out(table, moves):
+def carry_out(layout, moves):
     """Check every move where it happens: nothing is touched, nothing leaves the table."""
     for move in moves:
-        item = table.item(move.object)
-        assert not table.in_the_way(move.footprint, of=move.object)
-        assert table.holds(move.footprint)
+        item = layout.item(move.object)
+        assert not layout.in_the_way(move.footprint, of=move.object)
+        assert layout.holds(move.footprint)
         assert not item.settled
-        table = table.after(move)
-    return table
+        layout = layout.after(move)
+    return layout
 
 
 def true_place(item, moves):
@@ -160,20 +160,20 @@ def true_place(item, moves):
 
 def test_every_puzzle_is_solved_without_a_collision(planner):
     for puzzle in suite(seed=3, repeats=1):
-        found = rollout(planner, puzzle.table, seed=0)
+        found = rollout(planner, puzzle.layout, seed=0)
         assert not found.failures
-        end = carry_out(puzzle.table, found.moves)
+        end = carry_out(puzzle.layout, found.moves)
         assert all(item.settled for item in end.items)
-        for item in puzzle.table.items:
+        for item in puzzle.layout.items:
             np.testing.assert_allclose(true_place(item, found.moves), item.T_goal_current, atol=1e-9)
 
 
 def test_optimal_is_proven_optimal_and_never_needs_more_moves_than_the_paper():
     optimal, paper = PLANNERS.create("optimal"), PLANNERS.create("paper")
     for puzzle in suite(seed=0, repeats=3):
-        best, greedy = rollout(optimal, puzzle.table, 0), rollout(paper, puzzle.table, 0)
+        best, greedy = rollout(optimal, puzzle.layout, 0), rollout(paper, puzzle.layout, 0)
         assert len(best.moves) <= len(greedy.moves)
-        if len(puzzle.table.items) <= 9:
+        if len(puzzle.layout.items) <= 9:
             assert best.proven_optimal
         assert len(best.moves) <= 1.05 * best.lower_bound
 
@@ -182,28 +182,28 @@ def test_optimal_is_proven_optimal_and_never_needs_more_moves_than_the_paper():
 @given(st.integers(2, 6), st.integers(0, 10_000))
 def test_plans_have_as_few_moves_as_brute_force_over_who_stands_aside(count, seed):
     """With room to stand aside, n + k moves are enough exactly where k objects moved away free all others in turn."""
-    table = dense(count, np.random.default_rng(seed))
-    found = plan(table)
+    layout = dense(count, np.random.default_rng(seed))
+    found = plan(layout)
     assert not found.failures
-    carry_out(table, found.moves)
+    carry_out(layout, found.moves)
     extra = next(
         k
         for k in range(count + 1)
         for aside in itertools.combinations(range(count), k)
-        if _solved_in_turn(table, set(aside))
+        if _solved_in_turn(layout, set(aside))
     )
     assert len(found.moves) == count + extra
 
 
-def _solved_in_turn(table, aside):
-    here = {item.object for item in table.items} - aside
-    waiting = {item.object for item in table.items}
+def _solved_in_turn(layout, aside):
+    here = {item.object for item in layout.items} - aside
+    waiting = {item.object for item in layout.items}
     while waiting:
         free = [
             i
             for i in waiting
             if all(
-                j == i or gaps(table.item(i).goal.support, table.item(j).footprint.support) >= table.clearance
+                j == i or gaps(layout.item(i).goal.support, layout.item(j).footprint.support) >= layout.clearance
                 for j in here
             )
         ]
@@ -215,25 +215,25 @@ def _solved_in_turn(table, aside):
 
 
 def test_the_same_seed_gives_the_same_moves(planner):
-    table = dense(9, np.random.default_rng(4))
-    first, second = (rollout(planner, table, seed=5) for _ in range(2))
+    layout = dense(9, np.random.default_rng(4))
+    first, second = (rollout(planner, layout, seed=5) for _ in range(2))
     assert [m.T_place_pick.tobytes() for m in first.moves] == [m.T_place_pick.tobytes() for m in second.moves]
 
 
 def test_a_swap_takes_three_moves(planner):
-    found = rollout(planner, Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (0, 0)))), seed=0)
+    found = rollout(planner, Layout((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (0, 0)))), seed=0)
     assert len(found.moves) == found.lower_bound == 3 and found.buffer_moves == 1
 
 
 def test_an_object_without_a_goal_makes_room_for_one_that_has():
-    found = plan(Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0)))))
+    found = plan(Layout((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0)))))
     assert [(move.object, move.to) for move in found.moves] == [(1, "buffer"), (0, "goal")]
     assert found.moves[0].reason == "it stands in the goal of object 0"
     assert found.proven_optimal
 
 
 def test_settled_objects_stay_where_they_are(planner):
-    found = rollout(planner, Table((box(0, (0, 0), (0, 0), settled=True), box(1, (0.3, 0), (0.15, 0)))), seed=0)
+    found = rollout(planner, Layout((box(0, (0, 0), (0, 0), settled=True), box(1, (0.3, 0), (0.15, 0)))), seed=0)
     assert [move.object for move in found.moves] == [1]
 
 
@@ -256,7 +256,7 @@ GIVEN_UP = {
 def test_goals_that_cannot_be_reached_are_named_and_the_rest_goes_on(case):
     items, said = GIVEN_UP[case]
     other = box(9, (0, -0.3), (0.1, -0.3))
-    found = plan(Table((*items, other)))
+    found = plan(Layout((*items, other)))
     assert said in found.failures[0].reason and found.failures[0].stage == "planner"
     assert 9 in {move.object for move in found.moves} and 0 not in {move.object for move in found.moves}
     assert not found.proven_optimal
@@ -265,27 +265,27 @@ def test_goals_that_cannot_be_reached_are_named_and_the_rest_goes_on(case):
 def test_no_free_place_is_a_reason():
     """Two boxes that must change places on a table that holds no third."""
     swap = (box(0, (-0.045, 0), (0.045, 0)), box(1, (0.045, 0), (-0.045, 0)))
-    found = plan(Table(swap, radius=0.1))
+    found = plan(Layout(swap, radius=0.1))
     assert not found.moves
     assert any("no free place" in failure.reason for failure in found.failures.values())
     assert len(found.failures) == 2
 
 
 def test_the_paper_s_loop_gives_up_by_name():
-    stuck = Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0))))
+    stuck = Layout((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0))))
     found = rollout(PLANNERS.create("paper", {"max_tries": 4, "max_failures": 9}), stuck, seed=0)
     assert not found.moves
     assert found.failures[0].reason == "given up after 4 passes: its goal is taken by object 1, again"
 
 
 def test_a_failed_move_is_planned_again_and_then_worked_around():
-    table = Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (0.2, 0.2)), box(2, (-0.2, 0), (-0.2, 0.2))))
+    layout = Layout((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (0.2, 0.2)), box(2, (-0.2, 0), (-0.2, 0.2))))
     schedule = PLANNERS.create("optimal", {"tries": 2}).start(0)
     tried = []
-    while not isinstance(step := schedule.next(table), Finished):
+    while not isinstance(step := schedule.next(layout), Finished):
         tried.append(step.object)
         if step.object != 1:  # object 1 slips every time
-            table = table.after(step)
+            layout = layout.after(step)
     assert tried.count(1) == 2 and 2 in tried and 0 not in tried
     assert "cannot be moved" in step.failures[0].reason
     assert step.failures[1].reason == "it cannot be moved"
@@ -293,26 +293,26 @@ def test_a_failed_move_is_planned_again_and_then_worked_around():
 
 def test_a_turn_that_leaves_the_footprint_as_it_was_is_not_tried_for_ever():
     half_turn = make_transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-    table = Table((Item.seen(0, BOX, half_turn),))
+    layout = Layout((Item.seen(0, BOX, half_turn),))
     schedule = PLANNERS.create("optimal", {"tries": 2}).start(0)
-    steps = [schedule.next(table) for _ in range(3)]  # it slips every time
+    steps = [schedule.next(layout) for _ in range(3)]  # it slips every time
     assert [isinstance(step, Finished) for step in steps] == [False, False, True]
 
 
 def test_the_newest_motion_is_the_one_that_is_carried_out():
-    table = Table((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (-0.2, 0))))
+    layout = Layout((box(0, (0, 0), (0.2, 0)), box(1, (0.2, 0), (-0.2, 0))))
     schedule = PLANNERS.create("optimal").start(0)
-    table = table.after(schedule.next(table))
+    layout = layout.after(schedule.next(layout))
     corrected = shift(0.201, 0.001)
-    table = table.with_item(replace(table.item(0), T_goal_current=corrected))
-    np.testing.assert_array_equal(schedule.next(table).T_place_pick, corrected)
+    layout = layout.with_item(replace(layout.item(0), T_goal_current=corrected))
+    np.testing.assert_array_equal(schedule.next(layout).T_place_pick, corrected)
 
 
 def test_items_keep_their_goal_when_they_move_aside():
     item = box(0, (0, 0), (0.2, 0))
-    table = Table((item, box(1, (0.2, 0), (0, 0))))
-    first = plan(table).moves[0]
-    moved = table.after(first).item(first.object)
-    before = table.item(first.object)
+    layout = Layout((item, box(1, (0.2, 0), (0, 0))))
+    first = plan(layout).moves[0]
+    moved = layout.after(first).item(first.object)
+    before = layout.item(first.object)
     np.testing.assert_allclose(moved.T_goal_current @ first.T_place_pick, before.T_goal_current, atol=1e-12)
     np.testing.assert_allclose(invert(moved.T_goal_current) @ moved.T_goal_current, np.eye(4), atol=1e-12)

@@ -3,64 +3,90 @@
 from __future__ import annotations
 
 import io
+import json
 import re
+from importlib.resources import files
 
 import numpy as np
 import pytest
+from made_rows import make_move_rows, make_rows
+from markupsafe import escape
 from rich.console import Console
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.pictures.drawing import overlay
 from toolkit.results.comparisons import compare_cells, print_comparisons
-from toolkit.results.report import write_report
-from toolkit.results.rows import Row, read_rows, summarize, write_rows
+from toolkit.results.report import write_completion_report, write_report
+from toolkit.results.rows import read_rows, summarize, write_rows
 from toolkit.results.stats import holm, mcnemar
 from toolkit.results.tables import motion_table
 
-
-def make_rows(cell, share, dataset="a", scenes=20, **fields):
-    """Rows of which a share is right, the same objects in every cell."""
-    rng = np.random.default_rng(0)
-    rank = rng.permutation(scenes * 3)
-    return [
-        Row(
-            cell=cell,
-            settings={"pipeline.views": cell},
-            dataset=dataset,
-            scene_id=i // 3,
-            scene=f"{i // 3:06d}",
-            object=i % 3,
-            object_name=f"object_{i % 7}",
-            symmetry="none",
-            **_outcome(bool(rank[i] < share * scenes * 3)),
-            **fields,
-        )
-        for i in range(scenes * 3)
-    ]
+PAGES = {"motion": (make_rows, write_report), "completion": (make_move_rows, write_completion_report)}
 
 
-def _outcome(right):
-    if not right:
-        return {"status": "failed", "stage": "pnp", "reason": "5 inliers of 12, at least 8 are needed <b>&"}
-    errors = {"rotation_error_deg": 1.0, "translation_error_cm": 0.5}
-    symmetric = {f"{key}_sym": value for key, value in errors.items()}
-    return {"status": "estimated", "success": True, "success_sym": True, **errors, **symmetric}
+@pytest.fixture(params=PAGES)
+def write(request, tmp_path):
+    """Writes the page of a run with rows of two cells, the second of a name that must be escaped."""
+    make, write_page = PAGES[request.param]
+
+    def write(good=0.9, bad=0.4):
+        write_rows(tmp_path / "rows.jsonl", make("good", good) + make("<script>bad", bad))
+        return write_page(tmp_path).read_text()
+
+    return write
 
 
-def test_the_report_needs_nothing_else(tmp_path):
-    write_rows(tmp_path / "rows.jsonl", make_rows("good", 0.9) + make_rows("<script>bad", 0.4))
-    page = write_report(tmp_path).read_text()
+def test_the_report_needs_nothing_else(write):
+    page = write()
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:|#)", page)
-    assert "<script>" not in page
-    assert "good puts 90% of 60 objects" in page
+    assert "<script>" not in page and "&lt;script&gt;bad" in page
     assert "N inliers of N, at least N are needed &lt;b&gt;&amp;" in page
 
 
-def test_a_run_without_rows_is_said_to_be_so(tmp_path):
+def test_the_headline_is_of_the_best_cell(write):
+    done = np.mean([all(row.success for row in make_rows("good", 0.9)[i : i + 3]) for i in range(0, 60, 3)])
+    headline = re.search(r"<h1>(.*)</h1>", write())[1]
+    assert headline.startswith(("good puts 90% of 60 objects", f"good sets {done:.0%} of 20 scenes right"))
+
+
+def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
+    settings = "experiment: mine <b>\ncells: []\n"
+    (tmp_path / "experiment.resolved.yaml").write_text(settings)
+    meta = {"toolkit": "9.9", "commit": "0123456789abcdef", "dirty": True, "started": "2026-01-02", "python": "3.11"}
+    (tmp_path / "meta.json").write_text(json.dumps({**meta, "processor": "slow", "cores": 3}))
+    page = write()
+    assert "<title>mine &lt;b&gt; · toolkit</title>" in page
+    assert "toolkit 9.9, commit 0123456789ab with uncommitted changes, 2026-01-02, Python 3.11, slow, 3 cores" in page
+    assert escape(settings) in page
+    # Of seven names, each stands for eight or nine objects; six in sixty are wrong.
+    hardest = re.findall(r"<tr><td>(object_\d)</td><td>(\d) of (\d)</td>", page)
+    assert sum(int(seen) - int(right) for _, right, seen in hardest) == 6
+    assert [int(count) for count in re.findall(r"at least N are needed &lt;b&gt;&amp;</td><td>(\d+)<", page)] == [36, 6]
+    assert page.count("<svg") >= 2 and "objects in the scene" in page and "symmetry of the object" in page
+
+
+def test_what_is_all_right_has_nothing_wrong(write):
+    page = write(1.0, 1.0)
+    assert "none: every object is right" in page and "nothing" in page
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_a_page_s_own_template_has_its_own_parts_only(kind):
+    """One frame for all: what every page has stands in page.html.j2, and every block of the others is one of its."""
+    folder = files("toolkit.results.report")
+    frame, own = ((folder / name).read_text() for name in ("page.html.j2", f"{kind}_page.html.j2"))
+    assert own.startswith('{% extends "page.html.j2" %}')
+    assert not re.search(r"<(html|head|style|main|header|footer)", own)
+    blocks = re.findall(r"{% block (\w+) %}", own)
+    assert blocks and set(blocks) <= set(re.findall(r"{% block (\w+) %}", frame))
+
+
+@pytest.mark.parametrize("write_page", [write_report, write_completion_report])
+def test_a_run_without_rows_is_said_to_be_so(write_page, tmp_path):
     write_rows(tmp_path / "rows.jsonl", [])
     with pytest.raises(ToolkitError, match="no rows"):
-        write_report(tmp_path)
+        write_page(tmp_path)
 
 
 def test_cells_are_compared_on_the_same_scenes_only():

@@ -24,8 +24,8 @@ RENDERERS = [
 
 def render_box(renderer, supersample, camera):
     with World(renderer) as world:
-        box = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=HALF.tolist(), physicsClientId=world.client)
-        pybullet.createMultiBody(0, -1, box, physicsClientId=world.client)
+        box = world.client.createVisualShape(pybullet.GEOM_BOX, halfExtents=HALF.tolist())
+        world.client.createMultiBody(0, -1, box)
         return world.render(camera, Light(), supersample)
 
 
@@ -60,7 +60,8 @@ def test_depth_lifts_to_the_surface(renderer, supersample):
 
 def test_worlds_do_not_share_a_client():
     with World() as a, World() as b:
-        assert a.client != b.client
+        a.client.createMultiBody(0)
+        assert (a.client.getNumBodies(), b.client.getNumBodies()) == (1, 0)
 
 
 @pytest.mark.parametrize(("renderer", "supersample"), RENDERERS)

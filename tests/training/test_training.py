@@ -22,7 +22,7 @@ from toolkit.models.mixvpr import mixer_lite
 from toolkit.perception.crops import crop_region
 from toolkit.progress import Progress
 from toolkit.stages import MATCHERS
-from toolkit.training.config import LoftrTraining
+from toolkit.training.config import LoftrTraining, MixvprTraining
 from toolkit.training.export import export
 from toolkit.training.loftr_loss import coarse_log_confidence, fine_loss, focal_loss
 from toolkit.training.multi_similarity import ALPHA, BETA, MARGIN, multi_similarity
@@ -236,6 +236,17 @@ def test_mistakes_are_one_sentence(tmp_path, settings):
         run(settings, tmp_path / "out")
     with pytest.raises(ToolkitError, match=r"other settings \(loop\)"):
         run(settings, tmp_path / "out", resume=True, loop__seed=5)
+
+
+def test_a_group_the_file_leaves_out_keeps_its_defaults_when_one_of_its_settings_is_set(tmp_path):
+    (tmp_path / "short.yaml").write_text(yaml.safe_dump({"loop": MIXVPR["loop"]}))
+    config = read_training("mixvpr", tmp_path / "short.yaml", {"crops.blur_px": 0})
+    default = MixvprTraining.model_fields["crops"].default
+    assert config.crops == default.model_copy(update={"blur_px": 0}) != default
+    with pytest.raises(ToolkitError, match="there is no 'pol'; did you mean 'pool'"):
+        read_training("mixvpr", tmp_path / "short.yaml", {"pol.frames": 3})
+    with pytest.raises(ToolkitError, match=r"there is no 'loop\.steps'"):
+        read_training("mixvpr", tmp_path / "short.yaml", {"loop.steps.more": 0})
 
 
 def test_shipped_settings_are_valid():

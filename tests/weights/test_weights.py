@@ -83,14 +83,32 @@ def test_a_card_of_a_plugin_needs_no_name(card, tmp_path):
         resolve.resolve_weights(own)
 
 
-def test_a_broken_download_goes_on_where_it_stopped(server, tmp_path):
-    target = tmp_path / "file.bin"
-    with pytest.raises(OSError):
-        download(f"{server}/cut", target)
-    assert not target.exists()
-    assert 0 < (tmp_path / "file.bin.part").stat().st_size < len(CONTENT)
-    download(f"{server}/whole", target)
-    assert target.read_bytes() == CONTENT
+def monitor_ranges(monkeypatch):
+    """The ranges that are asked for from here on."""
+    asked = []
+    plain = _Server.do_GET
+    monkeypatch.setattr(_Server, "do_GET", lambda self: asked.append(self.headers.get("Range")) or plain(self))
+    return asked
+
+
+def test_a_broken_download_goes_on_where_it_stopped(server, tmp_path, monkeypatch):
+    target, left = tmp_path / "file.bin", tmp_path / "file.bin.part"
+    with pytest.raises(OSError, match="the connection ended after"):
+        sources.fetch(f"{server}/cut", target)
+    assert [path.name for path in tmp_path.iterdir()] == [left.name]
+    assert 0 < left.stat().st_size < len(CONTENT)
+    asked = monitor_ranges(monkeypatch)
+    sources.fetch(f"{server}/whole", target)
+    assert asked == [f"bytes={len(CONTENT) // 2}-"]
+    assert [path.name for path in tmp_path.iterdir()] == [target.name] and target.read_bytes() == CONTENT
+
+
+def test_of_two_downloads_at_once_one_goes_on_and_the_other_starts_anew(server, tmp_path):
+    left = tmp_path / "file.bin.part"
+    left.write_bytes(CONTENT[:1000])
+    download(f"{server}/whole", tmp_path / "one", left)
+    download(f"{server}/whole", tmp_path / "two", left)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes() == CONTENT and not left.exists()
 
 
 def test_a_named_folder_comes_before_the_cache(card, tmp_path, monkeypatch):
@@ -102,7 +120,7 @@ def test_a_named_folder_comes_before_the_cache(card, tmp_path, monkeypatch):
 
 def test_a_left_over_that_does_not_fit_is_thrown_away(server, tmp_path):
     (tmp_path / "file.bin.part").write_bytes(CONTENT + b"more")
-    download(f"{server}/whole", tmp_path / "file.bin")
+    sources.fetch(f"{server}/whole", tmp_path / "file.bin")
     assert (tmp_path / "file.bin").read_bytes() == CONTENT
 
 

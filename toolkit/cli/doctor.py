@@ -6,6 +6,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 from toolkit import __version__
 from toolkit.errors import ToolkitError
@@ -52,5 +53,13 @@ def _cache_state() -> str:
     root = cache_root()
     if not root.exists():
         return "not made yet"
-    size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
+    size = sum(_size(Path(folder) / name) for folder, _, files in os.walk(root) for name in files)
     return f"{size / 1e9:.2f} GB" if os.access(root, os.W_OK) else "cannot be written; nothing will be kept"
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, 0 where another process has just removed it."""
+    try:
+        return path.lstat().st_size
+    except OSError:
+        return 0

@@ -9,16 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from toolkit.cli.completion import experiment_names, implementation_names, implementations_of, stage_names
 from toolkit.errors import ToolkitError
 from toolkit.parallel import cores
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 
 if TYPE_CHECKING:
-    from toolkit.harness.experiment import Experiment
+    from toolkit.harness.experiment import Cell, Experiment
     from toolkit.harness.runs import RunOptions
 
-ExperimentArgument = Annotated[str, typer.Argument(help="A shipped experiment's name, or a YAML file.")]
+ExperimentArgument = Annotated[
+    str, typer.Argument(autocompletion=experiment_names, help="A shipped experiment's name, or a YAML file.")
+]
+StageArgument = Annotated[str, typer.Argument(autocompletion=stage_names, help="A stage, e.g. matcher.")]
+ImplementationArgument = Annotated[
+    str, typer.Argument(autocompletion=implementation_names, help="An implementation, e.g. sift.")
+]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
+PluginOption = Annotated[list[Path], typer.Option("--plugin", help="A plugin file that is not installed.")]
+SettingsOption = Annotated[list[str], typer.Option("--set", help="path.to.key=value of the settings.")]
 
 
 def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
@@ -26,17 +35,29 @@ def with_experiment_options(command: Callable[..., None], slots: Iterable[str] =
 
     The command receives them as `choices`, which `read_experiment` understands.
     """
-    helps = {
-        slot: f"The {slot.replace('_', ' ')}; given twice, it sweeps instead of the experiment's own sweep."
+    text = "The {}; given twice, it sweeps instead of the experiment's own sweep."
+    added = [
+        _option(
+            slot,
+            [],
+            Annotated[
+                list[str],
+                typer.Option(
+                    f"--{slot.replace('_', '-')}",
+                    autocompletion=implementations_of(slot),
+                    help=text.format(slot.replace("_", " ")),
+                ),
+            ],
+        )
         for slot in slots
-    }
-    lists = [_option(slot, list[str], [], f"--{slot.replace('_', '-')}", text) for slot, text in helps.items()]
-    own = [
-        _option("set", list[str], [], "--set", "path.to.key=v1,v2; several values sweep."),
-        _option("plugin", list[Path], [], "--plugin", "A plugin file that is not installed."),
-        _option("seed", int | None, None, "--seed", "Seed of scenes and stages."),
     ]
-    return _with_options(command, [*lists, *own], "choices")
+    several = typer.Option("--set", help="path.to.key=v1,v2; several values sweep.")
+    added += [
+        _option("set", [], Annotated[list[str], several]),
+        _option("plugin", [], PluginOption),
+        _option("seed", None, Annotated[int | None, typer.Option("--seed", help="Seed of scenes and stages.")]),
+    ]
+    return _with_options(command, added, "choices")
 
 
 def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -87,20 +108,63 @@ def run_options(
 
 def read_experiment(name: str, choices: Mapping[str, Any], *, rearranges: bool = False) -> Experiment:
     """The experiment with the command line's choices applied."""
-    from toolkit.harness.experiment import load_experiment, parse_set, register_plugin_file
+    from toolkit.harness.experiment import load_experiment
+    from toolkit.settings import parse_set
 
-    for file in choices["plugin"]:
-        register_plugin_file(file)
-    overrides: dict[str, list[Any]] = {f"pipeline.{slot}": choices[slot] for slot in SLOTS if choices[slot]}
+    register_plugin_files(choices.get("plugin", ()))
+    overrides: dict[str, list[Any]] = {f"pipeline.{slot}": choices[slot] for slot in SLOTS if choices.get(slot)}
     overrides |= {f"rearrange.{slot}": choices[slot] for slot in REARRANGE_SLOTS if choices.get(slot)}
-    overrides |= dict(parse_set(option) for option in choices["set"])
-    if choices["seed"] is not None:
+    overrides |= dict(map(parse_set, choices.get("set", ())))
+    if choices.get("seed") is not None:
         overrides["seed"] = [choices["seed"]]
     return load_experiment(name, overrides, rearranges=rearranges)
 
 
-def _option(name: str, kind: Any, default: Any, flag: str, text: str) -> inspect.Parameter:
-    annotation = Annotated[kind, typer.Option(flag, help=text)]
+def read_cell(experiment: str, choices: Mapping[str, Any]) -> Cell:
+    """The one cell of an experiment with the command line's choices applied.
+
+    Raises:
+        ToolkitError: they make several.
+    """
+    from toolkit.harness.experiment import expand
+
+    cells = expand(read_experiment(experiment, choices))
+    if len(cells) > 1:
+        raise ToolkitError(
+            f"this command runs one setting, but {len(cells)} are asked for; use `toolkit ablate` to sweep"
+        )
+    return cells[0]
+
+
+def register_plugin_files(files: Iterable[Path]) -> None:
+    """Load what --plugin names.
+
+    Raises:
+        ToolkitError: a file is absent, does not import, or holds no plugin.
+    """
+    from toolkit.harness.experiment import register_plugin_file
+
+    for file in files:
+        register_plugin_file(file)
+
+
+def single_values(settings: Iterable[str]) -> dict[str, Any]:
+    """What --set gives to a command that does not sweep: a value by path.
+
+    Raises:
+        ToolkitError: an option is not path.to.key=value, or names several values.
+    """
+    from toolkit.settings import parse_set
+
+    chosen: dict[str, Any] = {}
+    for path, values in map(parse_set, settings):
+        if len(values) > 1:
+            raise ToolkitError(f"--set {path} takes one value here, got {len(values)}; only experiments sweep")
+        chosen[path] = values[0]
+    return chosen
+
+
+def _option(name: str, default: Any, annotation: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 

@@ -98,7 +98,7 @@ def _other_intrinsics(rng: np.random.Generator) -> tuple[Float, int, int]:
 
 
 def _held_elevation(rng: np.random.Generator) -> float:
-    return float(np.radians(rng.uniform(28, 62)))
+    return float(np.radians(rng.uniform(26, 72)))
 
 
 def _held_distance(rng: np.random.Generator) -> float:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
+import json
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from importlib.metadata import version
@@ -15,13 +14,15 @@ from toolkit.data.objects import ObjectSet, load_object_set
 from toolkit.data.tabletop import TabletopConfig, build_scene
 from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
-from toolkit.files import write_json
+from toolkit.files import is_whole, make_once, write_json
 from toolkit.parallel import Here, Workers
 from toolkit.sim.bullet import require_pybullet
 
 OnScene = Callable[[int, int], None]
 """Called with (finished, total) after every scene."""
 
+_MADE = "dataset.json"
+_GENERATOR = "toolkit.data.tabletop"
 _LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "scipy", "trimesh")
 
 
@@ -46,16 +47,18 @@ def cached_dataset(
     """
     require_pybullet()
     objects = object_set(config.objects, cache)
+    settings = config.model_dump(mode="json", exclude={"scenes"})
     key = digest(
         {
-            "config": config.model_dump(mode="json", exclude={"scenes", "objects"}),
+            "config": {name: value for name, value in settings.items() if name != "objects"},
             "objects": objects.digest,
             "source": source_digest("toolkit.data.tabletop"),
             "libraries": {name: version(name) for name in _LIBRARIES},
         }
     )
     folder = cache / "datasets" / key[:32]
-    _build(config, objects, folder, cache, workers, on_scene, scenes)
+    made = _made(settings, config.renderer, objects)
+    _build(config, objects, folder, made, cache, workers, on_scene, range(config.scenes) if scenes is None else scenes)
     return folder
 
 
@@ -66,23 +69,26 @@ def build_dataset(
     workers: Workers | None = None,
     on_scene: OnScene | None = None,
 ) -> Path:
-    """Build a benchmark in a folder of its own.
+    """Build a benchmark in a folder of its own, or go on with one that was stopped.
 
     Args:
         config: its settings.
-        out: the folder; it must be absent or empty.
+        out: the folder; it must be absent, empty, or a benchmark of the same settings.
         cache: where the object set's own files are kept.
         workers: who builds; scene k is the same whoever does. This process when left out.
         on_scene: progress.
 
     Raises:
-        ToolkitError: the folder holds something, the object set does not load, the table does not hold the objects, or
-            there is no PyBullet here.
+        ToolkitError: the folder holds something else, the object set does not load, the table does not hold the
+            objects, or there is no PyBullet here.
     """
     require_pybullet()
-    if out.exists() and any(out.iterdir()):
+    objects = object_set(config.objects, cache)
+    made = _made(config.model_dump(mode="json"), config.renderer, objects)
+    begun = out.exists() and any(not path.name.startswith(".") for path in out.iterdir())
+    if begun and _read_made(out) != made:
         raise ToolkitError(f"'{out}' is not empty; name a new folder")
-    _build(config, object_set(config.objects, cache), out, cache, workers, on_scene)
+    _build(config, objects, out, made, cache, workers, on_scene, range(config.scenes))
     return out
 
 
@@ -90,13 +96,19 @@ def read_dataset(folder: Path) -> list[Path]:
     """Capture folders of a benchmark, in order.
 
     Raises:
-        ToolkitError: there is no such folder, or no capture in it.
+        ToolkitError: there is no such folder, no capture in it, or it was not built to its end.
     """
     if not folder.is_dir():
         raise ToolkitError(f"dataset '{folder}' does not exist")
-    captures = sorted(path for path in folder.iterdir() if (path / "current").is_dir())
+    captures = sorted(p for p in folder.iterdir() if (p / "current").is_dir() and not p.name.startswith("."))
     if not captures:
         raise ToolkitError(f"dataset '{folder}' holds no capture (a folder with current/ and goal/)")
+    made = _read_made(folder)
+    if made.get("generator") == _GENERATOR and len(captures) < made["config"].get("scenes", 0):
+        raise ToolkitError(
+            f"dataset '{folder}' has {len(captures)} of the {made['config']['scenes']} scenes its {_MADE} speaks of; "
+            f"give the command that builds it again, or remove {_MADE} where this is meant"
+        )
     return captures
 
 
@@ -111,20 +123,19 @@ def _build(
     config: TabletopConfig,
     objects: ObjectSet,
     folder: Path,
+    made: dict[str, Any],
     cache: Path,
     workers: Workers | None,
     on_scene: OnScene | None,
-    scenes: Sequence[int] | None = None,
+    needed: Sequence[int],
 ) -> None:
-    needed = range(config.scenes) if scenes is None else scenes
-    missing = [i for i in needed if not (folder / f"{i:06d}").is_dir()]
+    missing = [i for i in needed if not is_whole(folder / f"{i:06d}")]
     finished = len(needed) - len(missing)
     if on_scene:
         on_scene(finished, len(needed))
-    if not missing:
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "dataset.json", _made(config, objects))
+    if _read_made(folder) != made:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / _MADE, made)
     for _ in (workers or Here()).map(partial(_build_one, config, objects, folder, cache), missing):
         finished += 1
         if on_scene:
@@ -132,25 +143,27 @@ def _build(
 
 
 def _build_one(config: TabletopConfig, objects: ObjectSet, folder: Path, cache: Path, number: int) -> int:
-    """Build a scene under a temporary name and rename it: a killed build leaves whole scenes only."""
-    temporary = folder / f".{number:06d}.{os.getpid()}"
-    shutil.rmtree(temporary, ignore_errors=True)
-    build_scene(config, objects, number, temporary, cache)
-    try:
-        temporary.rename(folder / f"{number:06d}")
-    except OSError:
-        # Another process was faster; its scene is the same.
-        shutil.rmtree(temporary)
+    make_once(folder / f"{number:06d}", lambda scene: build_scene(config, objects, number, scene, cache))
     return number
 
 
-def _made(config: TabletopConfig, objects: ObjectSet) -> dict[str, Any]:
+def _made(settings: dict[str, Any], renderer: str, objects: ObjectSet) -> dict[str, Any]:
+    """What dataset.json says. One in the cache names no number of scenes: it grows."""
     return {
         "schema": 1,
-        "generator": "toolkit.data.tabletop",
+        "generator": _GENERATOR,
         "toolkit": __version__,
-        "config": config.model_dump(mode="json"),
+        "config": settings,
         "object_set": {"name": objects.name, "digest": objects.digest, "objects": len(objects.assets)},
-        "renderer": {"tiny": "PyBullet TinyRenderer", "egl": "PyBullet EGL plug-in"}[config.renderer],
+        "renderer": {"tiny": "PyBullet TinyRenderer", "egl": "PyBullet EGL plug-in"}[renderer],
         "libraries": {name: version(name) for name in _LIBRARIES},
     }
+
+
+def _read_made(folder: Path) -> dict[str, Any]:
+    """What dataset.json says; nothing where there is none that can be read."""
+    try:
+        made: Any = json.loads((folder / _MADE).read_text())
+    except (OSError, ValueError):
+        return {}
+    return made if isinstance(made, dict) else {}

@@ -13,13 +13,13 @@ import numpy as np
 
 from toolkit.data.objects import ObjectAsset
 from toolkit.errors import ToolkitError
-from toolkit.files import write_bytes
+from toolkit.files import make_once
 from toolkit.types import Image
 
 Lookalikes = Literal["none", "twins", "recolored"]
 
 _HUE_STEPS = 60
-"""A third of OpenCV's circle of 180."""
+"""A third of the hue circle, which is 180 in OpenCV."""
 
 _LEAST_SATURATION = 70
 """Grey turned in hue stays grey: it is given a colour."""
@@ -50,19 +50,20 @@ def with_lookalikes(assets: Sequence[ObjectAsset], kind: Lookalikes, cache: Path
 
 def _recolored(asset: ObjectAsset, cache: Path) -> ObjectAsset:
     shape, image = asset.mesh.read_bytes(), asset.texture.read_bytes()
-    folder = cache / "objects" / "recolored"
-    mesh, texture = (folder / f"{hashlib.sha256(d).hexdigest()}{end}" for d, end in ((shape, ".obj"), (image, ".png")))
-    if not mesh.is_file():
-        mesh.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(mesh, _without_material(shape))
-    if not texture.is_file():
+
+    def write(folder: Path) -> None:
         pixels = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
             raise ToolkitError(f"texture '{asset.texture}' is not an image")
-        write_bytes(texture, cv2.imencode(".png", _turned_in_hue(np.asarray(pixels, np.uint8)))[1].tobytes())
+        turned = cv2.imencode(".png", _turned_in_hue(np.asarray(pixels, np.uint8)))[1]
+        (folder / "mesh.obj").write_bytes(_without_material(shape))
+        (folder / "texture.png").write_bytes(turned.tobytes())
+
+    files = hashlib.sha256(shape).hexdigest()[:32] + hashlib.sha256(image).hexdigest()[:32]
+    folder = make_once(cache / "objects" / "recolored" / files, write)
     name = f"{asset.name}_recolored"
     model = replace(asset.model, object_id=asset.model.object_id + _RECOLORED_ID, name=name)
-    return replace(asset, name=name, mesh=mesh, texture=texture, model=model)
+    return replace(asset, name=name, mesh=folder / "mesh.obj", texture=folder / "texture.png", model=model)
 
 
 def _without_material(obj: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""What a RealSense D435 does to depth and colour, one effect a function, so that each can be switched on alone.
+"""What a RealSense D435 does to depth and colour, one effect per function, so that each can be switched on alone.
 
 Sources: axial noise and disparity steps from Intel's "Tuning depth cameras for best performance"
 (RMS error = z^2 * subpixel / (f * B)) with the D435's 50 mm baseline; dropout at edges and grazing angles after

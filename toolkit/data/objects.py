@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from dataclasses import dataclass
 from io import BytesIO
@@ -17,6 +16,7 @@ from scipy.spatial.distance import pdist
 from toolkit.data.procedural import procedural_folder
 from toolkit.data.scans import Scan, Symmetry, find_scans
 from toolkit.errors import ToolkitError
+from toolkit.files import make_once
 from toolkit.geometry import invert, rotation_z
 from toolkit.types import Float, ObjectModel
 
@@ -139,10 +139,5 @@ def _write_hull(points: Float, folder: Path) -> Path:
     support = np.unique(np.argmax(points @ directions.T, axis=0))
     text = trimesh.convex.convex_hull(points[support]).export(file_type="obj", header=None)
     content = str(text).encode()
-    path = folder / f"{hashlib.sha256(content).hexdigest()}.obj"
-    if not path.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    return path
+    made = make_once(folder / hashlib.sha256(content).hexdigest(), lambda to: (to / "hull.obj").write_bytes(content))
+    return made / "hull.obj"

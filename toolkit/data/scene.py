@@ -37,28 +37,39 @@ class TabletopConfig(ConditionSettings):
     objects: str = Field("procedural", description="'procedural', or a folder of scanned objects.")
     scenes: int = Field(150, ge=1, description="Number of scenes.")
     seed: int = Field(0, ge=0, description="Benchmark seed.")
-    min_objects: int = Field(1, ge=1, description="Fewest objects a scene.")
-    max_objects: int = Field(9, ge=1, description="Most objects a scene.")
-    rotation_deg: float = Field(180.0, ge=0, le=180, description="Yaw between goal and current is within +- this.")
+    min_objects: int = Field(1, ge=1, description="Smallest number of objects in a scene.")
+    max_objects: int = Field(9, ge=1, description="Largest number of objects in a scene.")
+    rotation_deg: float = Field(
+        180.0,
+        ge=0,
+        le=180,
+        description="Objects are turned by at most this between goal and now, either way, in degrees.",
+    )
     views: int = Field(
         8, ge=1, le=64, description="Current frames, the first from the home view; in the wild track, the most."
     )
     resolution: Resolution = Field("640x480", description="Image size.")
     poses: Literal["upright", "stable"] = Field(
-        "upright", description="Natural resting pose; or another stable one in the goal than now (6-DoF motions)."
+        "upright",
+        description="How objects rest: in their natural pose, or in another stable pose in the goal than now, so "
+        "that motions have six degrees of freedom.",
     )
     lookalikes: Lookalikes = Field(
-        "none", description="Every second object is the one before it once more: the same, or in other colours."
+        "none", description="Whether every second object repeats the one before it: as a twin, or in other colours."
     )
     radius_m: float = Field(
-        0.40, gt=0, le=0.40, description="Objects stand inside this disc; an arm at the edge does not reach all of 0.4."
+        0.40,
+        gt=0,
+        le=0.40,
+        description="Radius of the disc in which objects stand; an arm at the edge of the table does not reach all "
+        "of 0.4.",
     )
     clearance_m: float = Field(0.01, ge=0, description="Least gap between objects, except between crowded ones.")
     renderer: Renderer = Field(
         default_factory=best_renderer,
         description="PyBullet's EGL plug-in where it loads, else TinyRenderer.",
     )
-    supersample: int = Field(2, ge=1, le=4, description="TinyRenderer: rendered pixels per pixel and axis.")
+    supersample: int = Field(2, ge=1, le=4, description="For TinyRenderer: rendered pixels per pixel and axis.")
 
 
 @dataclass(frozen=True, eq=False)

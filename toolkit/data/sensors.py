@@ -82,11 +82,11 @@ SENSORS: dict[Sensor, DepthSensor] = {
     ),
     "kinect": DepthSensor(
         baseline_m=-0.075,
-        edge_px=1.0,
+        edge_px=0.6,
         window_px=3,
         border=(0.02, 0.04, 0.08, 0.03),
         range_m=(0.45, 4.0),
-        ripple=0.0012,
+        ripple=0.0016,
         axial=kinect_noise,
         quantize=kinect_steps,
     ),
@@ -95,7 +95,7 @@ SENSORS: dict[Sensor, DepthSensor] = {
 _RIPPLE_PX = 3.0
 _EDGE_M = 0.02
 _DOUBTED = 0.6
-"""Mixed pixels are given up where a smooth field of unit deviation exceeds this: a quarter of them."""
+"""Pixels at edges are given up where a smooth field of unit deviation exceeds this: a quarter of them."""
 
 _DARK, _BRIGHT = 45.0, 242.0
 """Grey levels (0 to 255) below and above which infrared light does not come back, or only as glare."""
@@ -209,8 +209,8 @@ def border(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> Mask:
 def grazing_dropout(depth: Float, focal: float, rng: np.random.Generator) -> Mask:
     """(H, W) bool: what is seen at more than about 75 deg (most of it), and some specks."""
     lost = np.clip((slope(depth, focal) - 3.5) / 8, 0, 0.9) * (depth > 0)
-    # Jumps look steep as well; there about half is lost, in stretches.
-    lost *= np.where(_edges(depth, 1), _smooth(rng, depth.shape, 3.0) > 0, 1)
+    # Jumps look steep as well; there about a quarter is lost, in stretches.
+    lost *= np.where(_edges(depth, 1), _smooth(rng, depth.shape, 3.0) > _DOUBTED, 1)
     return (rng.random(depth.shape) < lost) | (_smooth(rng, depth.shape, 1.5) > 3.9)
 
 
@@ -230,5 +230,5 @@ def _edges(depth: Float, reach: int) -> Mask:
 
 def _smooth(rng: np.random.Generator, shape: tuple[int, ...], sigma: float) -> Float:
     """(H, W) noise of unit deviation that is smooth over `sigma` pixels."""
-    field = cv2.GaussianBlur(rng.standard_normal(shape).astype(np.float32), (0, 0), sigma)
+    field = cv2.GaussianBlur(rng.standard_normal(shape, np.float32), (0, 0), sigma)
     return field / field.std()

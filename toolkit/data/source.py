@@ -49,6 +49,18 @@ def resolve_settings(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return validated(TabletopConfig, {"seed": seed, **settings}, "dataset").model_dump(mode="json")
 
 
+def count_scenes(settings: Mapping[str, Any]) -> int:
+    """How many scenes a dataset has, whether they are there already or not.
+
+    Args:
+        settings: what `resolve_settings` returned.
+
+    Raises:
+        ToolkitError: the folder is no dataset, or holds fewer captures than the settings ask for.
+    """
+    return len(_existing(settings, _every).captures) if "path" in settings else settings["scenes"]
+
+
 def require_source(settings: Mapping[str, Any]) -> None:
     """Make sure, before any work starts, that captures can be had; the settings are those of `open_dataset`.
 

@@ -13,7 +13,7 @@ from toolkit.data import surfaces
 from toolkit.data.conditions import TableLook, TableShape
 from toolkit.data.procedural.meshes import Surface, lathe, merge, panel
 from toolkit.data.props import Prop, block
-from toolkit.files import write_bytes
+from toolkit.files import make_once
 from toolkit.geometry import rotation_z
 from toolkit.types import Float, Image
 
@@ -117,13 +117,13 @@ def _table_surface(table: Table, strip: float) -> Surface:
 
 def table_files(look: str, cache: Path) -> tuple[Path, Path]:
     """Mesh and texture of a table that looks `plain`, `wood` or `cloth`, made below `cache` when absent."""
-    folder = cache / "objects" / f"table-{_VERSION}"
-    mesh, texture = folder / "table.obj", folder / f"{look}.png"
-    if not (mesh.exists() and texture.exists()):
-        folder.mkdir(parents=True, exist_ok=True)
-        write_bytes(mesh, _mesh().encode())
-        write_bytes(texture, cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
-    return mesh, texture
+
+    def write(folder: Path) -> None:
+        (folder / "table.obj").write_text(_mesh())
+        (folder / "table.png").write_bytes(cv2.imencode(".png", _DRAWERS[look]()[..., ::-1])[1].tobytes())
+
+    folder = make_once(cache / "objects" / f"table-{_VERSION}-{look}", write)
+    return folder / "table.obj", folder / "table.png"
 
 
 def _mesh(cells: int = 8) -> str:

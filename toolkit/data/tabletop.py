@@ -21,6 +21,7 @@ from toolkit.data.props import AWAY
 from toolkit.data.scene import TabletopConfig, TabletopScene, draw_scene, scene_generator
 from toolkit.data.sensors import measure_depth
 from toolkit.data.table import table_files, table_prop
+from toolkit.sim.client import Client
 from toolkit.sim.shading import Lamp, ShadowMap, Surface, draw_lamps, mirror_lamps
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera, Float, Frame, Image, Mask
@@ -83,7 +84,7 @@ class Studio:
         self._world.close()
 
     @property
-    def client(self) -> int:
+    def client(self) -> Client:
         """The PyBullet client, for what else is to be in its pictures."""
         return self._world.client
 
@@ -146,11 +147,11 @@ class Studio:
         """Put every object at a (4, 4) pose, and the flat things that lie in that scene on the table."""
         self._world.move_all(self._bodies, poses)
         for body, presence in self._clutter:
-            self._world.move(body, np.eye(4) if presence in ("both", side) else AWAY)
+            self._world.client.place(body, np.eye(4) if presence in ("both", side) else AWAY)
 
     def _place_hand(self, T_world_hand: Float) -> None:
         if self._hand is not None:
-            self._world.move(self._hand, T_world_hand)
+            self._world.client.place(self._hand, T_world_hand)
 
     def _shadows(self, light: Light) -> ShadowMap | None:
         """The shadows of what stands on the table now."""

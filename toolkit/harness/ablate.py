@@ -1,137 +1,118 @@
-"""Runs the cells of an experiment on the same scenes and writes rows, summary, pictures and report."""
+"""`toolkit ablate`: the motions of every scene's objects, estimated in every cell and scored."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from toolkit.data.bop import load_capture
-from toolkit.data.source import Dataset, open_dataset, require_source
+import numpy as np
+from rich.console import Console
+
+from toolkit.data.bop import capture_digest, load_capture
+from toolkit.data.source import Dataset, open_capture, open_dataset, require_source
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
-from toolkit.harness.cache import Cache
-from toolkit.harness.experiment import Cell, Experiment, expand
-from toolkit.harness.runs import ROWS, SUMMARY, RunOptions, finished, open_run, resolve, writable, write_meta
-from toolkit.harness.worker import SceneTask, make_runner, require_ready, run_scene, workers_for
-from toolkit.parallel import Workers
+from toolkit.harness.experiment import Cell
+from toolkit.harness.kinds import Job, RunKind, SceneTask, Work
+from toolkit.harness.worker import get_runner, make_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.poses import write_case
-from toolkit.progress import Progress
+from toolkit.results.comparisons import print_results
 from toolkit.results.report import write_report
-from toolkit.results.rows import (
-    Row,
-    append_rows,
-    best_cell,
-    read_rows,
-    summarize,
-    worst_rows,
-    write_rows,
-    write_summary,
-)
+from toolkit.results.rows import CellSummary, Row, best_cell, summarize, worst_rows
+from toolkit.types import Capture
 
 WORST_CASES = 8
 """Objects shown as pictures in the report."""
 
 
-def run_experiment(experiment: Experiment, options: RunOptions, progress: Progress | None = None) -> Path:
-    """Run every cell on the same scenes.
+@dataclass(frozen=True)
+class CaptureTask(SceneTask):
+    """A scene that lies in a capture folder.
 
-    Returns:
-        The run's folder, with rows.jsonl, summary.csv, report.html, meta.json and experiment.resolved.yaml.
-
-    Raises:
-        ToolkitError: anything a user can mend: bad settings, missing weights, a folder that cannot be written.
+    Attributes:
+        capture: the folder.
     """
-    progress = progress or Progress()
-    if experiment.rearrange is not None:
-        raise ToolkitError(f"experiment '{experiment.name}' moves objects; run it with `toolkit rearrange`")
-    cells = expand(experiment)
-    for cell in cells:
+
+    capture: Path
+
+
+class Ablation(RunKind[Row, CaptureTask]):
+    """Estimates motions; the cells that share a dataset share its captures, and a scene is decoded once for all."""
+
+    doing = "Evaluating"
+    row = Row
+
+    def check(self, cell: Cell) -> dict[str, str]:
+        """As `RunKind.check`."""
+        if cell.rearrange is not None:
+            raise ToolkitError(f"'{cell.name}' moves objects; run it with `toolkit rearrange`")
         require_source(cell.dataset)
-    weights = require_ready(cells)
-    cache = Cache(cache_root() / "stages") if options.use_cache else None
-    resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
-    with workers_for(experiment, options, progress) as workers:
-        with writable("the run folder"):
-            run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
-            done = finished(run)
-        datasets = _build_datasets(cells, options, workers, progress)
-        if not any(dataset.captures for dataset in datasets.values()):
-            raise ToolkitError(f"shard {options.shard} holds no scene: there are fewer scenes than shards")
-        tasks = _tasks(cells, datasets, done, cache)
-        with writable(f"'{run}'"):
-            write_meta(run, weights, [dataset.made for dataset in datasets.values()])
-            with progress.step("Evaluating", sum(len(task.cells) for task in tasks)) as advance:
-                for task, rows in workers.map(run_scene, tasks):
-                    append_rows(run / ROWS, rows)
-                    advance(len(task.cells))
-    with writable(f"'{run}'"):
-        rows = _in_order(read_rows(run / ROWS), cells)
-        write_rows(run / ROWS, rows)
-        write_summary(run / SUMMARY, summarize(rows))
-        _draw_worst_cases(run, cells, datasets, rows, cache, progress)
-        with progress.step("Writing the report", 1) as advance:
-            write_report(run)
-            advance(1)
-    return run
+        return require_ready([cell])
 
+    def work(self, job: Job) -> Work[CaptureTask]:
+        """One task per scene, with the cells that share its dataset and have no rows for it yet."""
+        datasets: dict[str, Dataset] = {}
+        sharing: dict[str, list[Cell]] = {}
+        for cell in job.cells:
+            key = digest(cell.dataset)
+            if key not in datasets:
+                datasets[key] = open_dataset(cell.dataset, cache_root(), job.workers, job.progress, job.shard.holds)
+            sharing.setdefault(key, []).append(cell)
+        tasks = [
+            CaptureTask(scene_id, pending, job.cache, capture)
+            for key, dataset in datasets.items()
+            for scene_id, capture in dataset.captures.items()
+            if (pending := job.pending(sharing[key], scene_id))
+        ]
+        return Work(tasks, [dataset.made for dataset in datasets.values()])
 
-def _dataset_key(cell: Cell) -> str:
-    return digest(cell.dataset)
+    def run_scene(self, task: CaptureTask) -> list[Row]:
+        """The rows of a scene for every one of the task's cells, from the cache where it has them."""
+        capture: Capture | None = None  # decoded when a cell's rows are not in the cache
+        content = capture_digest(task.capture)
+        rows: list[Row] = []
+        for cell in task.cells:
+            runner = get_runner(cell, task.cache)
+            key = digest([runner.identity, content, task.scene_id])
+            stored = task.cache.load(key) if task.cache else None
+            if stored is None:
+                capture = capture or load_capture(task.capture)
+                fresh = runner.rows(capture, task.scene_id)
+                if task.cache:
+                    task.cache.store(key, {"rows": np.array([row.model_dump_json() for row in fresh], dtype=np.str_)})
+                rows += fresh
+            else:
+                served = [Row.model_validate_json(line) for line in stored["rows"].tolist()]
+                rows += [row.model_copy(update={"cached": True}) for row in served]
+        return rows
 
+    def summarize(self, rows: Sequence[Row]) -> list[CellSummary]:
+        """Errors, success and times of every cell."""
+        return summarize(rows)
 
-def _build_datasets(
-    cells: Sequence[Cell], options: RunOptions, workers: Workers, progress: Progress
-) -> dict[str, Dataset]:
-    """The dataset of every cell, by key; cells with the same settings share one."""
-    datasets: dict[str, Dataset] = {}
-    for cell in cells:
-        key = _dataset_key(cell)
-        if key not in datasets:
-            datasets[key] = open_dataset(cell.dataset, cache_root(), workers, progress, options.shard.holds)
-    return datasets
+    def print(self, rows: Sequence[Row], console: Console) -> None:
+        """Print the motions' table, and the cells against each other."""
+        print_results(rows, console)
 
+    def illustrate(self, job: Job, rows: Sequence[Row]) -> None:
+        """Pictures of the worst objects of the best cell: that is where the next improvement lies."""
+        name = best_cell(rows)
+        best = next(cell for cell in job.cells if cell.name == name)
+        worst = worst_rows([row for row in rows if row.cell == name], WORST_CASES)
+        if not worst:
+            return
+        runner = make_runner(best, job.cache)
+        with job.progress.step("Drawing the worst cases", len(worst)) as advance:
+            for scene_id in dict.fromkeys(row.scene_id for row in worst):
+                capture = load_capture(open_capture(best.dataset, cache_root(), scene_id))
+                database = runner.pipeline.build_database(capture.current)
+                estimates = runner.pipeline.estimate(database, capture.goal)
+                for row in (row for row in worst if row.scene_id == scene_id):
+                    write_case(job.run / "pictures", capture, database, estimates, row)
+                    advance(1)
 
-def _tasks(
-    cells: Sequence[Cell], datasets: dict[str, Dataset], done: set[tuple[str, int]], cache: Cache | None
-) -> list[SceneTask]:
-    """One task a scene, with the cells that share its dataset and have no rows for it yet."""
-    tasks: list[SceneTask] = []
-    for key, dataset in datasets.items():
-        group = [cell for cell in cells if _dataset_key(cell) == key]
-        for scene_id, capture in dataset.captures.items():
-            pending = tuple(cell for cell in group if (cell.name, scene_id) not in done)
-            if pending:
-                tasks.append(SceneTask(scene_id, capture, pending, cache))
-    return tasks
-
-
-def _in_order(rows: Sequence[Row], cells: Sequence[Cell]) -> list[Row]:
-    order = {cell.name: i for i, cell in enumerate(cells)}
-    return sorted(rows, key=lambda row: (order[row.cell], row.scene_id, row.object))
-
-
-def _draw_worst_cases(
-    run: Path,
-    cells: Sequence[Cell],
-    datasets: dict[str, Dataset],
-    rows: Sequence[Row],
-    cache: Cache | None,
-    progress: Progress,
-) -> None:
-    """Pictures of the worst objects of the best cell: that is where the next improvement lies."""
-    name = best_cell(rows)
-    best = next(cell for cell in cells if cell.name == name)
-    worst = worst_rows([row for row in rows if row.cell == name], WORST_CASES)
-    if not worst:
-        return
-    runner = make_runner(best, cache)
-    captures = datasets[_dataset_key(best)].captures
-    with progress.step("Drawing the worst cases", len(worst)) as advance:
-        for scene_id in dict.fromkeys(row.scene_id for row in worst):
-            capture = load_capture(captures[scene_id])
-            database = runner.pipeline.build_database(capture.current)
-            estimates = runner.pipeline.estimate(database, capture.goal)
-            for row in (row for row in worst if row.scene_id == scene_id):
-                write_case(run / "pictures", capture, database, estimates, row)
-                advance(1)
+    def write_page(self, run: Path) -> Path:
+        """As `RunKind.write_page`."""
+        return write_report(run)

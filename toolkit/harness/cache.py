@@ -1,19 +1,18 @@
 """Content-addressed stage outputs: a key is the digest of all that the output depends on.
 
-Entries are NumPy archives without pickle, written to a temporary name and renamed, so that a reader never meets half
-an entry and two workers may write the same one.
+Entries are NumPy archives without pickle behind their own digest, written to a temporary name and renamed: a reader
+never meets half an entry, and two workers may write the same one.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
-import zipfile
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.digests import crop_digest, digest, frame_digest, source_digest
+from toolkit.files import write_bytes
 from toolkit.perception.meter import Meter
 from toolkit.registry import Plugin
 from toolkit.stages import AdaptiveDescriptor, Descriptor, Matcher, Segmenter
@@ -40,6 +40,8 @@ _LIBRARIES = (
     "faiss-cpu",
     "poselib",
 )
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def library_versions() -> dict[str, str]:
@@ -75,29 +77,28 @@ class Cache:
     folder: Path
 
     def load(self, key: str) -> dict[str, NDArray[Any]] | None:
-        """Return the arrays stored under `key`, or None. An entry that cannot be read counts as absent."""
+        """Return the arrays stored under `key`, or None. An entry that is damaged counts as absent."""
         try:
-            with np.load(self._path(key), allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
-        except (OSError, ValueError, zipfile.BadZipFile):
+            entry = self._path(key).read_bytes()
+        except OSError:
             return None
+        stated, content = entry[:_DIGEST_BYTES], entry[_DIGEST_BYTES:]
+        if hashlib.sha256(content).digest() != stated:
+            return None
+        with np.load(BytesIO(content), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
 
     def store(self, key: str, arrays: Arrays) -> None:
         """Store arrays under `key`, atomically. A cache that cannot be written is not an error: work goes on."""
-        path = self._path(key)
+        path, archive = self._path(key), BytesIO()
+        np.savez(archive, **arrays)  # pyright: ignore[reportArgumentType]
+        content = archive.getvalue()
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-            try:
-                with os.fdopen(descriptor, "wb") as file:
-                    np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-                Path(temporary).replace(path)
-            except BaseException:
-                Path(temporary).unlink(missing_ok=True)
-                raise
+            write_bytes(path, hashlib.sha256(content).digest() + content)
 
     def _path(self, key: str) -> Path:
-        return self.folder / key[:2] / f"{key}.npz"
+        return self.folder / key[:2] / f"{key}.entry"
 
 
 class _CachedStage:

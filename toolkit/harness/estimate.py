@@ -12,10 +12,11 @@ from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.geometry import rotation_angle
 from toolkit.harness.experiment import Cell
-from toolkit.harness.runs import ROWS, writable
+from toolkit.harness.runs import writable
 from toolkit.harness.worker import CellRunner, make_runner, require_ready
 from toolkit.pictures.poses import write_poses
 from toolkit.progress import Progress
+from toolkit.results.folder import ROWS, SUMMARY
 from toolkit.results.rows import Row, summarize, write_rows, write_summary
 from toolkit.results.scoring import score
 from toolkit.types import Capture, PoseEstimate
@@ -55,7 +56,7 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
             advance(1)
     if rows:
         with writable(f"'{out}'"):
-            write_summary(out / "summary.csv", summarize(rows))
+            write_summary(out / SUMMARY, summarize(rows))
     return rows
 
 

@@ -6,35 +6,21 @@ import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.pipeline import PipelineSettings
 from toolkit.rearrangement.episode import EpisodeSettings
-from toolkit.registry import Registry, load_plugin_file, validated
+from toolkit.registry import Registry, StageChoice, load_plugin_file, validated
+from toolkit.settings import assign, keys_of, read_settings, shipped_settings
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 from toolkit.stages import REGISTRIES, register_module
 
 _ALL_SLOTS = SLOTS | REARRANGE_SLOTS
-
-
-class StageChoice(BaseModel):
-    """A stage implementation by name, with its settings: `sift`, or `{name: sift, ratio: 0.8}`."""
-
-    model_config = ConfigDict(frozen=True, extra="allow")
-
-    name: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The implementation's own settings, not yet checked."""
-        return dict(self.model_extra or {})
 
 
 class PipelineChoice(PipelineSettings):
@@ -52,22 +38,12 @@ class PipelineChoice(PipelineSettings):
     pnp: StageChoice
     refiner: StageChoice = StageChoice(name="none")
 
-    @field_validator(*SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
-
 
 class RearrangeChoice(EpisodeSettings):
     """The `rearrange:` part of an experiment: planner and executor, and the rearrangement's own settings."""
 
     planner: StageChoice
     executor: StageChoice
-
-    @field_validator(*REARRANGE_SLOTS, mode="before")
-    @classmethod
-    def _by_name(cls, value: Any) -> Any:
-        return {"name": value} if isinstance(value, str) else value
 
 
 class CellSpec(BaseModel):
@@ -146,18 +122,8 @@ def _resolved(part: PipelineChoice | RearrangeChoice, slots: Mapping[str, str]) 
     """A part of an experiment with every default of its stages written out."""
     resolved = part.model_dump(mode="json")
     for slot, stage in slots.items():
-        choice: StageChoice = getattr(part, slot)
-        registry = REGISTRIES[stage]
-        config = registry.config(registry.get(choice.name), choice.settings)
-        resolved[slot] = {"name": choice.name, **config.model_dump(mode="json")}
+        resolved[slot] = REGISTRIES[stage].choose(getattr(part, slot)).model_dump(mode="json")
     return resolved
-
-
-def shipped_experiments() -> dict[str, Path]:
-    """Experiments that travel with the package, by name; in a checkout, those of `experiments/`."""
-    packaged = Path(str(files("toolkit"))) / "experiments"
-    folder = packaged if packaged.is_dir() else Path(__file__).parents[2] / "experiments"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def load_experiment(
@@ -176,11 +142,13 @@ def load_experiment(
     """
     path = Path(name_or_path)
     if path.suffix not in {".yaml", ".yml"}:
-        shipped = shipped_experiments()
+        shipped = shipped_settings()
         if name_or_path not in shipped:
             raise ToolkitError(f"unknown experiment '{name_or_path}'{suggest(name_or_path, list(shipped))}")
         path = shipped[name_or_path]
-    data = _read_yaml(path)
+    data = read_settings(path, "experiment", "name, dataset and pipeline")
+    what = f"experiment '{path}'"
+    validated(Experiment, data, what)  # what is wrong in the file is not blamed on an override
     if rearranges:
         data.setdefault("rearrange", {})
     if isinstance(data.get("rearrange"), dict):
@@ -189,7 +157,7 @@ def load_experiment(
         _drop_sweep(data)
     for key, values in (overrides or {}).items():
         _override(data, key, list(values))
-    experiment = validated(Experiment, data, f"experiment '{path}'")
+    experiment = validated(Experiment, data, what)
     plugins = tuple((path.parent / plugin).absolute() for plugin in experiment.plugins)
     for file in plugins:
         register_plugin_file(file)
@@ -222,7 +190,7 @@ def expand(experiment: Experiment) -> list[Cell]:
             if experiment.rearrange is not None:
                 data["rearrange"] = copy.deepcopy(experiment.rearrange)
             for path, value in {**base.set, **swept}.items():
-                _assign(data, path, value)
+                assign(data, path, value)
             parts = [base.name] if base.name else []
             parts += [f"{_short(path)}={_label(value)}" for path, value in swept.items()]
             name = ",".join(parts) or experiment.name
@@ -257,73 +225,25 @@ def create_stage(part: PipelineChoice | RearrangeChoice, slot: str) -> Any:
     return registry.create(choice.name, choice.settings)
 
 
-def parse_set(option: str) -> tuple[str, list[Any]]:
-    """Split `path.to.key=v1,v2` into the path and its YAML values.
-
-    Raises:
-        ToolkitError: there is no `=`, or a value is not YAML.
-    """
-    path, separator, text = option.partition("=")
-    if not separator or not path or not text:
-        raise ToolkitError(f"--set takes path.to.key=value[,value], got '{option}'")
-    try:
-        return path, [yaml.safe_load(value) for value in text.split(",")]
-    except yaml.YAMLError as error:
-        raise ToolkitError(f"--set {path}: '{text}' is not a list of YAML values") from error
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        data = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ToolkitError(f"experiment '{path}' cannot be read: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not YAML"
-        raise ToolkitError(f"experiment '{path}'{line}: {problem}") from error
-    if not isinstance(data, dict):
-        raise ToolkitError(f"experiment '{path}' must be a mapping with name, dataset and pipeline")
-    return data
-
-
 def _drop_sweep(data: dict[str, Any]) -> None:
     """Set every swept path to its first value."""
     swept = data.pop("sweep", None)
     for path, values in (swept if isinstance(swept, dict) else {}).items():
         if isinstance(values, list) and values:
-            _assign(data, path, values[0])
+            assign(data, path, values[0])
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
     """Apply a command-line choice: it replaces what the file set or swept at that path."""
     data.setdefault("sweep", {}).pop(path, None)
     if len(values) == 1:
-        _assign(data, path, values[0])
+        assign(data, path, values[0])
     else:
         data["sweep"][path] = values
 
 
-def _assign(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a dotted path. Naming another implementation drops the former one's settings."""
-    *parents, last = path.split(".")
-    node: Any = data
-    for depth, key in enumerate(parents):
-        child = node.get(key)
-        if isinstance(child, str) and key in _ALL_SLOTS:
-            child = node[key] = {"name": child}
-        if not isinstance(child, dict):
-            where = ".".join(parents[: depth + 1])
-            raise ToolkitError(f"cannot set '{path}': there is no '{where}'{suggest(key, [str(k) for k in node])}")
-        node = child
-    same = isinstance(node.get(last), dict) and node[last].get("name") == value
-    if not (last in _ALL_SLOTS and same):
-        node[last] = value
-
-
 def _short(path: str) -> str:
-    parts = path.removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.").split(".")
-    return parts[0] if parts[1:] == ["name"] else ".".join(parts)
+    return ".".join(keys_of(path)).removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.")
 
 
 def _label(value: Any) -> str:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
-from toolkit.harness.runs import META, RESOLVED, ROWS, SUMMARY, Shard, open_run, rearranges, require_run, writable
-from toolkit.results.completion import MoveRow, summarize_completion
-from toolkit.results.rows import Row, RowT, read_rows_as, summarize, write_rows, write_summary
+from toolkit.harness.drive import kind_of
+from toolkit.harness.kinds import RunKind
+from toolkit.harness.runs import Shard, in_order, open_run, read_resolved, require_run, writable
+from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
+from toolkit.results.rows import read_rows_as, write_rows, write_summary
 
 _SAME = {"source": "code", "versions": "library versions", "weights": "weights"}
 """Entries of meta.json in which shards must agree, or their rows are not of one experiment."""
@@ -35,7 +35,7 @@ def merge_shards(runs: Sequence[Path], out: Path) -> Path:
         raise ToolkitError(f"'{out}' already holds a run; name a new folder with --out")
     for run in runs:
         _require_finished(run)
-    settings: list[dict[str, Any]] = [yaml.safe_load((run / RESOLVED).read_text()) for run in runs]
+    settings: list[dict[str, Any]] = [read_resolved(run) for run in runs]
     metas: list[dict[str, Any]] = [json.loads((run / META).read_text()) for run in runs]
     shards = _complete([own.pop("shard", None) for own in settings], runs)
     for run, own, meta in zip(runs, settings, metas, strict=True):
@@ -49,10 +49,7 @@ def merge_shards(runs: Sequence[Path], out: Path) -> Path:
             if (run / "pictures").is_dir():
                 shutil.copytree(run / "pictures", out / "pictures", dirs_exist_ok=True)
         cells = [cell["cell"] for cell in settings[0]["cells"]]
-        if rearranges(out):
-            _write_rows(out, shards, cells, MoveRow, summarize_completion)
-        else:
-            _write_rows(out, shards, cells, Row, summarize)
+        _write_rows(out, shards, cells, kind_of(out))
     return out
 
 
@@ -109,21 +106,14 @@ def _difference(one: Any, other: Any, path: str = "") -> str:
     return _difference(a, b, f"{path}.{key}")
 
 
-def _write_rows(
-    out: Path,
-    shards: Mapping[Shard, Path],
-    cells: Sequence[str],
-    model: type[RowT],
-    summarizer: Callable[[Sequence[RowT]], Sequence[object]],
-) -> None:
+def _write_rows(out: Path, shards: Mapping[Shard, Path], cells: Sequence[str], kind: RunKind[Any, Any]) -> None:
     """Write the rows of all shards in the order of a run in one piece, and their summary."""
-    rows: list[RowT] = []
+    rows: list[Any] = []
     for shard, run in shards.items():
-        own = read_rows_as(model, run / ROWS)
+        own = read_rows_as(kind.row, run / ROWS)
         if stray := next((row for row in own if not shard.holds(row.scene_id)), None):
             raise ToolkitError(f"'{run}' is shard {shard}, but holds rows of scene {stray.scene_id}")
         rows += own
-    order = {cell: i for i, cell in enumerate(cells)}
-    rows.sort(key=lambda row: (order[row.cell], row.scene_id))
+    rows = in_order(rows, cells)
     write_rows(out / ROWS, rows)
-    write_summary(out / SUMMARY, summarizer(rows))
+    write_summary(out / SUMMARY, kind.summarize(rows))

@@ -1,152 +1,123 @@
-"""Runs rearrangements in simulation, scene after scene, and writes rows, summary and report (Table II)."""
+"""`toolkit rearrange`: scenes set right in simulation, and where every object ended (Table II)."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
 from toolkit.data.dataset import object_set
+from toolkit.data.source import count_scenes
 from toolkit.data.tabletop import TabletopConfig, TabletopScene, draw_scene
 from toolkit.digests import digest
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
-from toolkit.harness.cache import Cache
-from toolkit.harness.experiment import Cell, Experiment, RearrangeChoice, create_stage, episode_settings, expand
-from toolkit.harness.runs import ROWS, SUMMARY, RunOptions, finished, open_run, resolve, writable, write_meta
-from toolkit.harness.worker import get_runner, require_ready, workers_for
+from toolkit.harness.experiment import Cell, create_stage, episode_settings
+from toolkit.harness.kinds import Job, RunKind, SceneTask, Work
+from toolkit.harness.worker import get_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.film import Film, Filmable, record_poses
 from toolkit.pictures.recording import has_rerun
-from toolkit.progress import Progress
-from toolkit.rearrangement.episode import Episode, rearrange
-from toolkit.results.completion import MoveRow, summarize_completion
+from toolkit.rearrangement.episode import Episode, begun, rearrange
+from toolkit.registry import Plugin
+from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.results.report import write_completion_report
-from toolkit.results.rows import append_rows, read_rows_as, write_rows, write_summary
+from toolkit.results.tables import completion_table
 from toolkit.slots import REARRANGE_SLOTS
 from toolkit.stages import Executor
 from toolkit.types import Failure, Float, TrueObject
 
 
 @dataclass(frozen=True)
-class MoveTask:
-    """One scene and the cell to run on it.
+class MoveTask(SceneTask):
+    """A scene that is simulated, and the one cell to set it right in.
 
     Attributes:
-        scene_id: number of the scene in its benchmark.
-        cell: all settings.
-        cache: where stage outputs are kept, or None.
         film: the MP4 file to film it into, or None.
     """
 
-    scene_id: int
-    cell: Cell
-    cache: Cache | None
     film: Path | None = None
 
 
-def run_rearrangement(
-    experiment: Experiment, options: RunOptions, progress: Progress | None = None, *, film: bool = False
-) -> Path:
-    """Rearrange every scene in every cell.
+@dataclass(frozen=True)
+class Rearrangement(RunKind[MoveRow, MoveTask]):
+    """Sets scenes right in simulation; every scene and cell is a task of its own, for it takes long.
 
-    Args:
-        experiment: what to run.
-        options: how; nothing there changes a row.
-        progress: shows a bar.
+    Attributes:
         film: film the first scene of the first cell that is still to be done: film.mp4, and film.rrd where rerun is
             installed.
-
-    Returns:
-        The run's folder, with rows.jsonl, summary.csv, report.html, meta.json and experiment.resolved.yaml.
-
-    Raises:
-        ToolkitError: anything a user can mend: bad settings, captures that are not simulated, missing weights, a
-            folder that cannot be written.
     """
-    progress = progress or Progress()
-    cells = expand(experiment)
-    weights = require_ready(cells)
-    for cell in cells:
-        _check(cell)
-    cache = Cache(cache_root() / "stages") if options.use_cache else None
-    resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
-    scenes = list(filter(options.shard.holds, range(max(cell.dataset["scenes"] for cell in cells))))
-    if not scenes:
-        raise ToolkitError(f"shard {options.shard} holds no scene: there are fewer scenes than shards")
-    with workers_for(experiment, options, progress) as workers:
-        with writable("the run folder"):
-            run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
-            done = finished(run, MoveRow)
-        tasks = [
-            MoveTask(scene_id, cell, cache)
-            for scene_id in scenes
-            for cell in cells
-            if scene_id < cell.dataset["scenes"] and (cell.name, scene_id) not in done
-        ]
-        if film and tasks:
-            tasks[0] = replace(tasks[0], film=run.absolute() / "film.mp4")
-        with writable(f"'{run}'"):
-            datasets = {digest(cell.dataset): cell.dataset for cell in cells}
-            write_meta(run, weights, list(datasets.values()))
-            with progress.step("Rearranging", len(tasks)) as advance:
-                for rows in workers.map(run_scene, tasks):
-                    append_rows(run / ROWS, rows)
-                    advance(1)
-    with writable(f"'{run}'"):
-        order = {cell.name: i for i, cell in enumerate(cells)}
-        rows = read_rows_as(MoveRow, run / ROWS)
-        rows.sort(key=lambda row: (order[row.cell], row.scene_id, row.object))
-        write_rows(run / ROWS, rows)
-        write_summary(run / SUMMARY, summarize_completion(rows))
-        write_completion_report(run)
-    return run
+
+    film: bool = False
+
+    doing = "Rearranging"
+    row = MoveRow
+
+    def check(self, cell: Cell) -> dict[str, str]:
+        """As `RunKind.check`; the captures must be simulated, and the table hold the objects."""
+        if cell.rearrange is None:
+            raise ToolkitError(f"'{cell.name}' moves no object; run it with `toolkit ablate`")
+        if "path" in cell.dataset:
+            raise ToolkitError("captures of the past cannot be rearranged: leave dataset.path out to simulate scenes")
+        weights = require_ready([cell])
+        for slot in REARRANGE_SLOTS:
+            stage: Plugin = create_stage(cell.rearrange, slot)
+            stage.check_ready()
+            weights |= stage.digests()
+        # The first scene shows whether the objects are there and the table holds them.
+        _draw(cell, 0)
+        return weights
+
+    def work(self, job: Job) -> Work[MoveTask]:
+        """One task per scene and cell; a scene is drawn where it is set right."""
+        scenes = filter(job.shard.holds, range(max(map(_scenes, job.cells))))
+        pairs = [(scene_id, cell) for scene_id in scenes for cell in job.pending(job.cells, scene_id)]
+        tasks = [MoveTask(scene_id, (cell,), job.cache) for scene_id, cell in pairs if scene_id < _scenes(cell)]
+        if self.film and tasks:
+            tasks[0] = replace(tasks[0], film=job.run.absolute() / "film.mp4")
+        return Work(tasks, list({digest(cell.dataset): cell.dataset for cell in job.cells}.values()))
+
+    def run_scene(self, task: MoveTask) -> list[MoveRow]:
+        """Rearrange one scene and measure where everything ended."""
+        (cell,) = task.cells
+        assert cell.rearrange is not None
+        scene = _draw(cell, task.scene_id)
+        runner = get_runner(cell, task.cache)
+        planner, executor = (create_stage(cell.rearrange, slot) for slot in ("planner", "executor"))
+        weights = {**runner.weights, **planner.digests(), **executor.digests()}
+        seed = int(np.random.SeedSequence([cell.seed, task.scene_id]).generate_state(1)[0])
+        with begun(executor, scene) as goal, _filmed(executor, task.film, scene):
+            episode = rearrange(goal, runner.pipeline, planner, executor, episode_settings(cell.rearrange), seed)
+            state = executor.state()
+        if state is None:
+            raise ToolkitError(f"executor '{cell.rearrange.executor.name}' knows no true poses to measure against")
+        return _score(cell, task.scene_id, scene, episode, state, weights)
+
+    def summarize(self, rows: Sequence[MoveRow]) -> list[CompletionSummary]:
+        """Completion, moves and times of every cell."""
+        return summarize_completion(rows)
+
+    def print(self, rows: Sequence[MoveRow], console: Console) -> None:
+        """Print the table of completion."""
+        completion_table(summarize_completion(rows)).print(console)
+
+    def write_page(self, run: Path) -> Path:
+        """As `RunKind.write_page`."""
+        return write_completion_report(run)
 
 
-def _check(cell: Cell) -> None:
-    """Everything a worker would stumble over, before any work starts."""
-    if "path" in cell.dataset:
-        raise ToolkitError("captures of the past cannot be rearranged: leave dataset.path out to simulate scenes")
-    for slot in REARRANGE_SLOTS:
-        create_stage(_choice(cell), slot).check_ready()
-    config = _config(cell)
-    # The first scene shows whether the objects are there and the table holds them.
-    draw_scene(config, object_set(config.objects, cache_root()), 0, cache_root())
+def _scenes(cell: Cell) -> int:
+    return count_scenes(cell.dataset)
 
 
-def _choice(cell: Cell) -> RearrangeChoice:
-    assert cell.rearrange is not None
-    return cell.rearrange
-
-
-def _config(cell: Cell) -> TabletopConfig:
-    return TabletopConfig.model_validate(cell.dataset)
-
-
-def run_scene(task: MoveTask) -> list[MoveRow]:
-    """Rearrange one scene and measure where everything ended.
-
-    Raises:
-        ToolkitError: a stage refuses its input.
-    """
-    config = _config(task.cell)
-    scene = draw_scene(config, object_set(config.objects, cache_root()), task.scene_id, cache_root())
-    runner = get_runner(task.cell, task.cache)
-    choice = _choice(task.cell)
-    executor: Executor = create_stage(choice, "executor")
-    seed = int(np.random.SeedSequence([task.cell.seed, task.scene_id]).generate_state(1)[0])
-    with closing(executor), _filmed(executor, task.film, scene):
-        episode = rearrange(
-            scene, runner.pipeline, create_stage(choice, "planner"), executor, episode_settings(choice), seed
-        )
-        state = executor.state()
-    if state is None:
-        raise ToolkitError(f"executor '{choice.executor.name}' knows no true poses to measure against")
-    return _score(task, scene, episode, state, runner.weights)
+def _draw(cell: Cell, scene_id: int) -> TabletopScene:
+    config = TabletopConfig.model_validate(cell.dataset)
+    return draw_scene(config, object_set(config.objects, cache_root()), scene_id, cache_root())
 
 
 @contextmanager
@@ -162,9 +133,14 @@ def _filmed(executor: Executor, path: Path | None, scene: TabletopScene) -> Gene
 
 
 def _score(
-    task: MoveTask, scene: TabletopScene, episode: Episode, state: Mapping[int, Float], weights: dict[str, str]
+    cell: Cell,
+    scene_id: int,
+    scene: TabletopScene,
+    episode: Episode,
+    state: Mapping[int, Float],
+    weights: dict[str, str],
 ) -> list[MoveRow]:
-    """One row a true object: its true final pose against its true goal."""
+    """One row per true object: its true final pose against its true goal."""
     estimates = episode.sight.estimates if episode.sight is not None else ()
     answers = assign_goal_objects([e.segment for e in estimates], episode.goal.true_masks or {})
     rows: list[MoveRow] = []
@@ -173,11 +149,11 @@ def _score(
         failure = _why(number, answers.get(number), episode, error)
         rows.append(
             MoveRow(
-                cell=task.cell.name,
-                scene_id=task.scene_id,
-                settings=task.cell.settings,
-                dataset=digest(task.cell.dataset)[:16],
-                scene=f"{task.scene_id:06d}",
+                cell=cell.name,
+                scene_id=scene_id,
+                settings=cell.settings,
+                dataset=digest(cell.dataset)[:16],
+                scene=f"{scene_id:06d}",
                 object=number,
                 object_name=truth.model.name,
                 symmetry=symmetry_of(truth.model),

@@ -22,13 +22,9 @@ from toolkit.files import write_json, write_text
 from toolkit.harness.cache import library_versions
 from toolkit.harness.experiment import Cell
 from toolkit.parallel import cores
-from toolkit.results.rows import Row, SceneRow, read_rows_as, write_rows
-
-ROWS = "rows.jsonl"
-RESOLVED = "experiment.resolved.yaml"
-META = "meta.json"
-SUMMARY = "summary.csv"
-"""Written last of all figures: a run that has it has all its rows."""
+from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
+from toolkit.results.rows import ObjectRow, RowT, read_rows_as, write_rows
+from toolkit.settings import read_settings
 
 
 @dataclass(frozen=True)
@@ -109,7 +105,7 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     """
     if resume:
         return _resumable(name, resolved, out)
-    run = out or Path("runs") / name / datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    run = out or _new_folder(Path("runs") / name)
     if (run / ROWS).exists() and not fresh:
         raise ToolkitError(f"'{run}' already holds a run; add --resume to go on with it or --fresh to start again")
     if fresh and (run / RESOLVED).exists():
@@ -119,17 +115,30 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     return run
 
 
+def _new_folder(parent: Path) -> Path:
+    """A folder named by the time; runs that begin in the same second get one each."""
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    folder, number = parent / now, 1
+    while True:
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            number += 1
+            folder = parent / f"{now}-{number}"
+
+
 def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path:
     candidates = [out] if out else sorted((Path("runs") / name).glob("*"), reverse=True)
     for run in candidates:
-        if (run / RESOLVED).exists() and digest(yaml.safe_load((run / RESOLVED).read_text())) == digest(resolved):
+        if (run / RESOLVED).exists() and digest(read_resolved(run)) == digest(resolved):
             (run / SUMMARY).unlink(missing_ok=True)
             return run
     where = f"'{out}'" if out else f"'{Path('runs') / name}'"
     raise ToolkitError(f"{where} holds no run with these settings to resume; leave --resume out to start one")
 
 
-def finished(run: Path, model: type[SceneRow] = Row) -> set[tuple[str, int]]:
+def finished(run: Path, model: type[ObjectRow]) -> set[tuple[str, int]]:
     """(cell, scene) pairs that already have all their rows, which are of type `model`.
 
     The last pair in the file may lack rows when the run was killed while they were written, so it is cut off and done
@@ -141,6 +150,22 @@ def finished(run: Path, model: type[SceneRow] = Row) -> set[tuple[str, int]]:
     return {(row.cell, row.scene_id) for row in whole}
 
 
+def in_order(rows: Sequence[RowT], cells: Sequence[str]) -> list[RowT]:
+    """The rows as they stand in a finished run: by cell, scene and object."""
+    order = {cell: i for i, cell in enumerate(cells)}
+    return sorted(rows, key=lambda row: (order[row.cell], row.scene_id, row.object))
+
+
+def read_resolved(run: Path) -> dict[str, Any]:
+    """What `resolve` gave, as the run wrote it down; empty where it wrote nothing.
+
+    Raises:
+        ToolkitError: the file cannot be read.
+    """
+    path = run / RESOLVED
+    return read_settings(path, "settings of a run", "experiment and cells") if path.exists() else {}
+
+
 def read_cells(run: Path) -> list[Cell]:
     """The cells of a run, as it wrote them down.
 
@@ -150,8 +175,8 @@ def read_cells(run: Path) -> list[Cell]:
     if not (run / RESOLVED).is_file():
         raise ToolkitError(f"'{run}' has no {RESOLVED}; only runs of `toolkit ablate` can be made again")
     try:
-        return [Cell.read(cell) for cell in yaml.safe_load((run / RESOLVED).read_text())["cells"]]
-    except (KeyError, TypeError, yaml.YAMLError) as error:
+        return [Cell.read(cell) for cell in read_resolved(run)["cells"]]
+    except (KeyError, TypeError) as error:
         raise ToolkitError(f"'{run / RESOLVED}' is not of this version: {error!r}") from error
 
 
@@ -159,12 +184,6 @@ def require_run(folder: Path) -> None:
     """Raise ToolkitError where a folder is no run."""
     if not (folder / ROWS).is_file():
         raise ToolkitError(f"'{folder}' is not a run folder: it has no {ROWS}")
-
-
-def rearranges(run: Path) -> bool:
-    """Say whether a run rearranged scenes, or only estimated poses: its rows differ."""
-    settings: Any = yaml.safe_load((run / RESOLVED).read_text()) if (run / RESOLVED).exists() else {}
-    return any("rearrange" in cell for cell in settings.get("cells", []))
 
 
 def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]) -> None:

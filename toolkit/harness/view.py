@@ -15,12 +15,15 @@ from rich.table import Table
 from toolkit.data.bop import load_capture
 from toolkit.data.source import open_capture
 from toolkit.errors import ToolkitError, suggest
+from toolkit.harness.ablate import Ablation
 from toolkit.harness.cache import Cache
+from toolkit.harness.drive import kind_of
 from toolkit.harness.experiment import Cell
-from toolkit.harness.runs import ROWS, read_cells, rearranges
+from toolkit.harness.runs import read_cells
 from toolkit.harness.worker import make_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.recording import load_rerun, off, record_scene
+from toolkit.results.folder import ROWS
 from toolkit.results.rows import Row, best_cell, read_rows, worst_rows
 from toolkit.types import Capture
 
@@ -84,7 +87,7 @@ def rows_of(run: Path) -> list[Row]:
         raise ToolkitError(
             f"'{run}' is neither a run folder (with {ROWS}) nor a capture folder (with current/ and goal/)"
         )
-    if rearranges(run):
+    if not isinstance(kind_of(run), Ablation):
         raise ToolkitError(f"'{run}' rearranged its scenes; `toolkit rearrange --film` records one while it is moved")
     rows = read_rows(run / ROWS)
     if not rows:

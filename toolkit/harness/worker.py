@@ -1,4 +1,4 @@
-"""One scene through the cells of an experiment: the unit of work that travels to a process."""
+"""What a process must have before it can run scenes: the same toolkit as all others, and every cell's stages."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
-from toolkit.data.bop import capture_digest, load_capture
 from toolkit.digests import digest, package_digest, source_digest
 from toolkit.errors import ToolkitError
 from toolkit.harness.cache import (
@@ -45,23 +43,6 @@ _WRAPPERS: dict[str, Any] = {
     "matcher": CachedMatcher,
 }
 """Slots whose outputs are worth keeping."""
-
-
-@dataclass(frozen=True)
-class SceneTask:
-    """One scene and the cells to run on it.
-
-    Attributes:
-        scene_id: number of the scene in its dataset.
-        capture: its capture folder.
-        cells: the cells that have no rows for it yet.
-        cache: where stage outputs and rows are kept, or None.
-    """
-
-    scene_id: int
-    capture: Path
-    cells: tuple[Cell, ...]
-    cache: Cache | None
 
 
 @dataclass(frozen=True)
@@ -121,38 +102,13 @@ def make_runner(cell: Cell, cache: Cache | None) -> CellRunner:
         cell.resolved(),
         {slot: plugin_identity(plugin) for slot, plugin in plugins.items()},
         source_digest("toolkit.perception.pipeline"),
-        source_digest("toolkit.pictures.poses"),
+        source_digest("toolkit.results.scoring"),
         library_versions(),
     ]
     weights = {name: sha256 for plugin in plugins.values() for name, sha256 in plugin.digests().items()}
     return CellRunner(
         cell, Pipeline(Stages(**stages), own_settings(cell.pipeline), cell.seed, meter), digest(identity), weights
     )
-
-
-def run_scene(task: SceneTask) -> tuple[SceneTask, list[Row]]:
-    """The task, and the rows of its scene for every one of its cells, from the cache where it has them.
-
-    Raises:
-        ToolkitError: the capture cannot be read, or a stage refuses its input.
-    """
-    capture: Capture | None = None  # decoded when a cell's rows are not in the cache
-    content = capture_digest(task.capture)
-    rows: list[Row] = []
-    for cell in task.cells:
-        runner = get_runner(cell, task.cache)
-        key = digest([runner.identity, content, task.scene_id])
-        stored = task.cache.load(key) if task.cache else None
-        if stored is None:
-            capture = capture or load_capture(task.capture)
-            fresh = runner.rows(capture, task.scene_id)
-            if task.cache:
-                task.cache.store(key, {"rows": np.array([row.model_dump_json() for row in fresh], dtype=np.str_)})
-            rows += fresh
-        else:
-            served = [Row.model_validate_json(line) for line in stored["rows"].tolist()]
-            rows += [row.model_copy(update={"cached": True}) for row in served]
-    return task, rows
 
 
 @dataclass(frozen=True)
@@ -203,7 +159,7 @@ def _prepare(setup: WorkerSetup) -> None:
     os.environ.update(setup.environment)
     if setup.folder.is_dir():
         os.chdir(setup.folder)
-    # One thread a process, or workers fight for cores.
+    # One thread per process, or workers fight for cores.
     cv2.setNumThreads(1)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
@@ -232,7 +188,7 @@ _runners: dict[str, CellRunner] = {}
 
 
 def get_runner(cell: Cell, cache: Cache | None) -> CellRunner:
-    """The runner of a cell. Runners stay in their process: a network is loaded once, not once a scene."""
+    """The runner of a cell. Runners stay in their process: a network is loaded once, not once per scene."""
     key = json.dumps([cell.resolved(), str(cache)], sort_keys=True)
     if key not in _runners:
         _runners[key] = make_runner(cell, cache)

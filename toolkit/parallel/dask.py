@@ -23,6 +23,9 @@ ResultT = TypeVar("ResultT")
 _PATIENCE_S = 30
 """How long a scheduler, and then its first worker, is waited for."""
 
+_ALONE_S = 120
+"""How long a scheduler on this machine may be without workers."""
+
 
 @contextmanager
 def dask_workers(count: int, address: str | None, prepare: Callable[[], None]) -> Generator[DaskWorkers]:
@@ -50,10 +53,12 @@ def dask_workers(count: int, address: str | None, prepare: Callable[[], None]) -
 
 
 def _local_cluster(distributed: Any, count: int) -> Any:
-    """As many processes as loky would start, without limits of their own."""
-    return distributed.LocalCluster(
-        n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs=logging.CRITICAL
-    )
+    """As many processes as without dask, without limits of their own."""
+    # A worker that cannot be started again, on a machine that has too much to do, is never tried again.
+    with optional("dask", "dask").config.set({"distributed.scheduler.no-workers-timeout": f"{_ALONE_S} s"}):
+        return distributed.LocalCluster(
+            n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs=logging.CRITICAL
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class DaskWorkers:
                 yield future.result()
         except distributed.KilledWorker as error:
             raise gave_up() from error
-        except CancelledError as error:
+        except (CancelledError, distributed.scheduler.NoWorkerError) as error:
             raise ToolkitError(f"{self.where} was lost; finished rows are kept, and --resume goes on") from error
         finally:
             self.client.cancel(futures)

@@ -74,6 +74,7 @@ def open_workers(
     elif count == 1:
         yield Here()
     else:
-        from toolkit.parallel.loky import LokyWorkers
+        from toolkit.parallel.processes import process_workers
 
-        yield LokyWorkers(count, prepare, say or (lambda _: None))
+        with process_workers(count, prepare, say or (lambda _: None)) as workers:
+            yield workers

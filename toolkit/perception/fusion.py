@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from toolkit.errors import ToolkitError
+from toolkit.geometry import cubes, group_means
 from toolkit.perception.database import Database
 from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
@@ -54,10 +55,10 @@ class FusedModel:
     """An object as all current frames together show it, in the world of the current scene.
 
     Attributes:
-        points: (N, 3) float32, metres; one a voxel.
+        points: (N, 3) float32, metres; one per voxel.
         colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
         seen_by: (N, V) bool, which of the patches saw the voxel.
-        patches: V, one a frame that saw the object.
+        patches: V, one per frame that saw the object.
     """
 
     points: Float
@@ -101,11 +102,9 @@ def fuse(database: Database, instance: int) -> FusedModel | Failure:
         return Failure("refiner", f"instance {instance} has only {len(points)} reliable points")
     colors = np.concatenate([patch.rgb[patch.pixels[:, 1], patch.pixels[:, 0]] for patch in patches])
     views = np.repeat(np.arange(len(patches)), [len(patch.points) for patch in patches])
-    keys = np.floor((points - points.min(axis=0)) / _VOXEL_M).astype(np.int64)
-    flat = (keys * [1, 1 << 20, 1 << 40]).sum(axis=1)
-    _, inverse, counts = np.unique(flat, return_inverse=True, return_counts=True)
-    merged = _means(points, inverse, counts)
-    tints = _means(colors, inverse, counts)
+    voxels = cubes(points - points.min(axis=0), _VOXEL_M)
+    _, inverse, counts = np.unique(voxels, return_inverse=True, return_counts=True)
+    merged, tints = (group_means(values, inverse, counts).astype(np.float32) for values in (points, colors))
     seen_by = np.zeros((len(counts), len(patches)), bool)
     seen_by[inverse, views] = True
     kept = _not_lonely(merged)
@@ -239,11 +238,6 @@ def _off_the_table(model: FusedModel) -> FusedModel:
     kept = np.ones(len(height), bool)
     kept[rim] = False
     return FusedModel(model.points[kept], model.colors[kept], model.seen_by[kept], model.patches)
-
-
-def _means(values: np.ndarray, groups: np.ndarray, counts: np.ndarray) -> Float:
-    sums = np.stack([np.bincount(groups, column, len(counts)) for column in values.T], axis=1)
-    return (sums / counts[:, None]).astype(np.float32)
 
 
 def _not_lonely(points: Float) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -28,6 +29,7 @@ from toolkit.types import (
 class Segmenter(Protocol):
     """Finds objects in one image."""
 
+    @abstractmethod
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return one Segment an object, masks disjoint, in a deterministic order.
 
@@ -44,10 +46,12 @@ class Segmenter(Protocol):
 class Registration(Protocol):
     """Corrects the poses of cameras by what their images show. Frames keep all but their camera's pose."""
 
+    @abstractmethod
     def register(self, frames: Sequence[Frame]) -> list[Frame]:
         """Return the current frames, RGB-D, with poses that agree with each other."""
         ...
 
+    @abstractmethod
     def locate(self, goal: Frame, frames: Sequence[Frame]) -> Frame:
         """Return the goal image, which has no depth, with a pose that agrees with the registered frames."""
         ...
@@ -56,14 +60,16 @@ class Registration(Protocol):
 class Associator(Protocol):
     """Groups regions of several frames into object instances (Sec. Method A)."""
 
+    @abstractmethod
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
-        """Return (R,) int64 instance ids 0..K-1, one a region; every id in that range occurs."""
+        """Return (R,) int64 instance ids 0..K-1, one per region; every id in that range occurs."""
         ...
 
 
 class Explainer(Protocol):
     """Says what the goal image shows in terms of the current scene's instances, before any mask is final."""
 
+    @abstractmethod
     def explain(self, task: ExplainTask) -> Explanation | None:
         """Return which instances stand where in the goal image, and what is none of them.
 
@@ -78,9 +84,13 @@ class Explainer(Protocol):
 class Descriptor(Protocol):
     """Describes crops by vectors whose inner product is their similarity (Eq. global_description)."""
 
-    crop_size: int
-    """Side of the square crops it wants, pixels."""
+    @property
+    @abstractmethod
+    def crop_size(self) -> int:
+        """Side of the square crops it wants, pixels."""
+        ...
 
+    @abstractmethod
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, d) float32 rows of unit length, for N >= 1 crops."""
         ...
@@ -94,6 +104,7 @@ Adaptation = Callable[[Float], Float]
 class AdaptiveDescriptor(Protocol):
     """What a Descriptor may offer besides: to learn from the scene at hand."""
 
+    @abstractmethod
     def adapt(self, rows: Float, instances: NDArray[np.int64]) -> Adaptation:
         """Learn from the database's (R, d) rows and their (R,) instances; the same input gives the same map.
 
@@ -105,10 +116,12 @@ class AdaptiveDescriptor(Protocol):
 class Index(Protocol):
     """Maximum inner-product search."""
 
+    @abstractmethod
     def build(self, vectors: Float) -> None:
         """Take (N, d) float32 vectors as the database, replacing what was there."""
         ...
 
+    @abstractmethod
     def search(self, queries: Float, k: int) -> tuple[Float, NDArray[np.int64]]:
         """Return (Q, k') float32 scores in falling order and (Q, k') int64 rows, k' = min(k, N)."""
         ...
@@ -117,10 +130,12 @@ class Index(Protocol):
 class Traversal(Protocol):
     """The order in which one goal object's candidates are tried."""
 
+    @abstractmethod
     def next(self, n: int) -> list[int]:
         """Return up to n further candidate regions (database rows), best first; empty when none is left."""
         ...
 
+    @abstractmethod
     def reject(self, region: int) -> None:
         """Say that a candidate did not match, so that candidates like it can be skipped."""
         ...
@@ -129,6 +144,7 @@ class Traversal(Protocol):
 class Retriever(Protocol):
     """Turns a similarity ranking into candidates (Sec. Method A, retrieval phase)."""
 
+    @abstractmethod
     def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> Traversal:
         """Begin the traversal for one goal object.
 
@@ -143,13 +159,18 @@ class Retriever(Protocol):
 class Matcher(Protocol):
     """Finds pixel correspondences between two crops (Eq. 2D_match)."""
 
-    crop_size: int
-    """Side of the square crops it wants, pixels."""
-
-    def extract(self, crops: Sequence[Crop]) -> list[Any]:
-        """Return one opaque feature value a crop; computed once and used in every `match` the crop is part of."""
+    @property
+    @abstractmethod
+    def crop_size(self) -> int:
+        """Side of the square crops it wants, pixels."""
         ...
 
+    @abstractmethod
+    def extract(self, crops: Sequence[Crop]) -> list[Any]:
+        """Return one opaque feature value per crop; computed once and used in every `match` the crop is part of."""
+        ...
+
+    @abstractmethod
     def match(self, query: Any, references: Sequence[Any]) -> list[Matches]:
         """Match one goal crop's features to several candidates' features, in one batch; one Matches each."""
         ...
@@ -158,6 +179,7 @@ class Matcher(Protocol):
 class PnP(Protocol):
     """Solves an object's pose from 2D-3D correspondences, rejecting outliers."""
 
+    @abstractmethod
     def solve(self, problem: Correspondences, seed: int) -> PnPSolution | Failure:
         """Return the pose, or a Failure with its reason. The same problem and seed give the same bytes."""
         ...
@@ -166,6 +188,7 @@ class PnP(Protocol):
 class Refiner(Protocol):
     """Improves and verifies an object's motion by comparing its fused model with the goal image."""
 
+    @abstractmethod
     def refine(self, task: RefineTask) -> Refined | Failure | None:
         """Return the verified motion, an Abstention where it is not believed, a Failure where there is none.
 
@@ -173,6 +196,7 @@ class Refiner(Protocol):
         """
         ...
 
+    @abstractmethod
     def verify(self, task: RefineTask) -> float | None:
         """Return how well the task's instance agrees with the goal object at its best, higher is better.
 

@@ -46,7 +46,7 @@ class Filmable(Protocol):
         ...
 
     def state(self) -> Mapping[int, Float] | None:
-        """See Executor."""
+        """True (4, 4) model-to-world poses by instance id where they are known, as an executor's."""
         ...
 
 
@@ -56,7 +56,7 @@ class Film:
     Args:
         executor: what to film.
         path: the MP4 file.
-        every: steps of motion a frame.
+        every: steps of motion per frame.
         on_frame: called at every frame with its time in the film, seconds.
 
     Raises:

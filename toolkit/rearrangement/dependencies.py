@@ -9,16 +9,16 @@ import numpy as np
 
 from toolkit.rearrangement.feedback import feedback_vertex_set
 from toolkit.rearrangement.footprints import gaps, supports
-from toolkit.rearrangement.moves import Item, Table
+from toolkit.rearrangement.moves import Item, Layout
 from toolkit.types import Failure
 
 
 @dataclass(frozen=True)
 class Dependencies:
-    """The dependency graph of a table.
+    """The dependency graph of a layout.
 
     Attributes:
-        wanted: positions in `table.items` of the items that are to be brought to a goal.
+        wanted: positions in `layout.items` of the items that are to be brought to a goal.
         leave_first: by position of every item, bits of the positions of the items that stand in its goal.
     """
 
@@ -40,69 +40,69 @@ class Dependencies:
         return tuple(j for j in range(len(self.leave_first)) if blocking >> j & 1 and j not in self.wanted)
 
 
-def dependencies(table: Table) -> Dependencies:
+def dependencies(layout: Layout) -> Dependencies:
     """The dependency graph: an edge where an item's goal collides with another's present place."""
-    wanted = tuple(i for i, item in enumerate(table.items) if item.wanted)
-    here = supports([item.footprint for item in table.items])
-    rows = [0] * len(table.items)
+    wanted = tuple(i for i, item in enumerate(layout.items) if item.wanted)
+    here = supports([item.footprint for item in layout.items])
+    rows = [0] * len(layout.items)
     for i in wanted:
-        goal = table.items[i].goal
+        goal = layout.items[i].goal
         assert goal is not None
-        blocking = np.flatnonzero(gaps(goal.support, here) < table.clearance)
+        blocking = np.flatnonzero(gaps(goal.support, here) < layout.clearance)
         rows[i] = sum(1 << int(j) for j in blocking if j != i)
     return Dependencies(wanted, tuple(rows))
 
 
-def lower_bound(table: Table) -> int:
-    """No plan brings every wanted item of a screened table to its goal in fewer moves.
+def lower_bound(layout: Layout) -> int:
+    """No plan brings every wanted item of a screened layout to its goal in fewer moves.
 
     Items that move once only leave and arrive in one move, so no cycle of dependencies joins them: a feedback vertex
     set moves twice (Han et al., "Complexity results and fast methods for optimal tabletop rearrangement with
     overhand grasps", IJRR 2018). An item without a goal moves once where it stands in another's.
     """
-    graph = dependencies(table)
+    graph = dependencies(layout)
     found = feedback_vertex_set(graph.in_cycles)
     assert found is not None
     return len(graph.wanted) + len(graph.evicted) + found.lower_bound
 
 
-def screen(table: Table) -> tuple[Table, dict[int, Failure]]:
+def screen(layout: Layout) -> tuple[Layout, dict[int, Failure]]:
     """Give up goals that cannot be reached whatever the order.
 
     Returns:
-        The table without those goals, and by object why they were given up.
+        The layout without those goals, and by object why they were given up.
     """
     failures: dict[int, Failure] = {}
-    while found := _impossible(table):
+    while found := _impossible(layout):
         item, reason = found
         failures[item.object] = Failure("planner", reason)
-        table = table.with_item(replace(item, goal=None, T_goal_current=None))
-    return table, failures
+        layout = layout.with_item(replace(item, goal=None, T_goal_current=None))
+    return layout, failures
 
 
-def _impossible(table: Table) -> tuple[Item, str] | None:
+def _impossible(layout: Layout) -> tuple[Item, str] | None:
     """The first goal that must be given up, with the reason."""
-    for item in table.items:
+    for item in layout.items:
         if item.goal is None or item.settled:
             continue
         if item.fixed:
             return item, "it cannot be moved"
-        if not table.holds(item.goal):
-            excess = item.goal.reach(np.array(table.center)) - table.radius
+        if not layout.holds(item.goal):
+            excess = item.goal.reach(np.array(layout.center)) - layout.radius
             return item, f"its goal lies {100 * excess:.1f} cm outside the reachable table"
-        lasting = [other for other in table.items if other is not item and (other.settled or other.fixed)]
+        lasting = [other for other in layout.items if other is not item and (other.settled or other.fixed)]
         for other in lasting:
-            if gaps(item.goal.support, other.footprint.support) < table.clearance:
+            if gaps(item.goal.support, other.footprint.support) < layout.clearance:
                 why = "stands at its own goal" if other.settled else "cannot be moved"
                 return item, f"its goal overlaps object {other.object}, which {why}"
-    return _overlapping_goals(table)
+    return _overlapping_goals(layout)
 
 
-def _overlapping_goals(table: Table) -> tuple[Item, str] | None:
+def _overlapping_goals(layout: Layout) -> tuple[Item, str] | None:
     """Of the wanted items whose goals overlap, the one in most overlaps; of those the least sure."""
-    wanted = [item for item in table.items if item.wanted]
+    wanted = [item for item in layout.items if item.wanted]
     goals = supports([item.goal for item in wanted if item.goal is not None])
-    overlap = gaps(goals[:, None], goals[None]) < table.clearance
+    overlap = gaps(goals[:, None], goals[None]) < layout.clearance
     np.fill_diagonal(overlap, False)
     counts: Sequence[int] = overlap.sum(axis=1).tolist()
     if not any(counts):

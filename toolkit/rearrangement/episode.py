@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, Literal
@@ -13,10 +13,9 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import transform_points
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.dependencies import lower_bound, screen
-from toolkit.rearrangement.moves import Finished, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.moves import Finished, Layout, Move, Outcome, PickPlace
 from toolkit.rearrangement.sight import Sight, SightSettings, correct, look
 from toolkit.rearrangement.stages import Executor, Planner
 from toolkit.types import Failure, Float, Frame
@@ -52,7 +51,7 @@ class Episode:
         moved_for: by goal object, the true instance id of what was last brought to its goal.
         forced_buffers: moves to a free place that the first look's goals need at least.
         time_ms: milliseconds of perception and planning, on this machine.
-        motion_s: seconds of motion, on the robot's clock.
+        motion_s: seconds of moving, on the robot's clock.
     """
 
     goal: Frame
@@ -76,31 +75,49 @@ class Episode:
         self.time_ms[what] += 1e3 * (perf_counter() - start)
 
 
+@contextmanager
+def begun(executor: Executor, task: Any) -> Generator[Frame]:
+    """An executor at work on a task, which it lets go of in the end.
+
+    Where it cannot take the task up it is not closed either: nothing hides why.
+
+    Args:
+        executor: which.
+        task: what its `begin` is given.
+
+    Yields:
+        The goal image.
+    """
+    goal = executor.begin(task)
+    with closing(executor):
+        yield goal
+
+
 def rearrange(
-    task: Any, pipeline: Pipeline, planner: Planner, executor: Executor, settings: EpisodeSettings, seed: int
+    goal: Frame, pipeline: Pipeline, planner: Planner, executor: Executor, settings: EpisodeSettings, seed: int
 ) -> Episode:
     """Carry out one rearrangement.
 
     Args:
-        task: handed to the executor, which must be closed by the caller.
+        goal: the goal image of the executor's task.
         pipeline: the perception module.
         planner: decides the moves.
-        executor: carries them out.
+        executor: carries them out; it has begun its task, and closing it is left to the caller.
         settings: how often, and what counts as done.
         seed: of the planner's choices; the pipeline has its own.
 
     Raises:
         ToolkitError: a stage refuses its input.
     """
-    episode = Episode(executor.begin(task))
+    episode = Episode(goal)
     for number in range(settings.rounds):
         sight = _perceive(episode, pipeline, executor, settings)
         if sight is None:
             break
         episode.sight, episode.failures = sight, dict(sight.failures)
         if number == 0:
-            episode.forced_buffers = _forced_buffers(sight.table)
-        if not any(item.wanted for item in sight.table.items):
+            episode.forced_buffers = _forced_buffers(sight.layout)
+        if not any(item.wanted for item in sight.layout.items):
             break
         episode.rounds += 1
         _carry_out(episode, sight, pipeline, planner, executor, settings, seed + number)
@@ -125,9 +142,9 @@ def _perceive(episode: Episode, pipeline: Pipeline, executor: Executor, settings
         return None
 
 
-def _forced_buffers(table: Table) -> int:
-    table, _ = screen(table)
-    return lower_bound(table) - sum(item.wanted for item in table.items)
+def _forced_buffers(layout: Layout) -> int:
+    layout, _ = screen(layout)
+    return lower_bound(layout) - sum(item.wanted for item in layout.items)
 
 
 def _carry_out(
@@ -143,22 +160,20 @@ def _carry_out(
     schedule = planner.start(seed)
     for _ in range(_MOST_MOVES):
         with episode.timed("planning"):
-            step = schedule.next(sight.table)
+            step = schedule.next(sight.layout)
         if isinstance(step, Finished):
             _note_failures(episode, sight, step)
             return
         outcome = executor.pick_place(_request(sight, step))
         _count(episode, sight, step, outcome)
         if outcome.failure is None:
-            cloud = transform_points(step.T_place_pick, sight.clouds[step.object])
-            sight.clouds[step.object] = np.asarray(cloud)
-            sight = Sight(sight.table.after(step), sight.clouds, sight.estimates, sight.goal_objects, sight.failures)
+            sight = sight.after(step)
         if settings.observe == "move":
             seen = _perceive(episode, pipeline, executor, settings)
             if seen is None:
                 return
             sight = correct(sight, seen)
-    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.table.items}
+    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.layout.items}
     _note_failures(episode, sight, Finished(unfinished))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from toolkit.geometry import invert, transform_points
 from toolkit.rearrangement.footprints import Footprint, gaps, supports
-from toolkit.types import Failure, Float
+from toolkit.types import Failure, Float, Gripper
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class Item:
     """An object on the table.
 
     Attributes:
-        object: its id, unique on its table.
+        object: its id, unique in its layout.
         footprint: where it is now.
         T_goal_current: (4, 4) motion that takes it from here to its goal; None where that is not known.
         goal: its footprint there; None where that is not known.
@@ -66,8 +66,8 @@ class Item:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """What stands where, and where it may stand.
+class Layout:
+    """What stands where on the table, and where it may stand.
 
     Attributes:
         items: the objects, ids unique.
@@ -85,13 +85,13 @@ class Table:
         """The item of one object."""
         return next(item for item in self.items if item.object == object_id)
 
-    def with_item(self, changed: Item) -> Table:
-        """This table with one item replaced by its namesake."""
+    def with_item(self, changed: Item) -> Layout:
+        """This layout with one item replaced by its namesake."""
         items = tuple(changed if item.object == changed.object else item for item in self.items)
         return replace(self, items=items)
 
-    def after(self, move: Move) -> Table:
-        """The table when `move` was carried out as meant."""
+    def after(self, move: Move) -> Layout:
+        """The layout when `move` was carried out as meant."""
         return self.with_item(self.item(move.object).after(move))
 
     def in_the_way(self, footprint: Footprint, of: int) -> list[int]:
@@ -140,18 +140,49 @@ class PickPlace:
 
 
 @dataclass(frozen=True, eq=False)
+class GraspRequest:
+    """What a grasper is asked: where may this gripper take hold of an object?
+
+    Attributes:
+        points: (N, 3) seen points of the object where it stands, world coordinates.
+        T_place_pick: (4, 4) motion from where it stands to where it is to be put.
+        others: (M, 3) seen points of all other objects.
+        gripper: what takes hold.
+        approach_m: straight way along which it comes to the object, and leaves it where it was put.
+    """
+
+    points: Float
+    T_place_pick: Float
+    others: Float
+    gripper: Gripper
+    approach_m: float
+
+    @classmethod
+    def of(cls, move: PickPlace, gripper: Gripper, approach_m: float) -> GraspRequest:
+        """The grasp that a move needs."""
+        return cls(move.points, move.T_place_pick, move.others, gripper, approach_m)
+
+
+@dataclass(frozen=True, eq=False)
 class Grasp:
     """A pose of a parallel gripper that holds an object.
 
     Attributes:
         T_world_gripper: (4, 4); origin between the fingertips, x from one finger to the other, z the way it approaches.
         opening: distance of the fingers before they close, metres.
+        spare: room between each of them and the object then, metres.
         score: 0..1, higher is better.
     """
 
     T_world_gripper: Float
     opening: float
+    spare: float
     score: float
+
+    @property
+    def closed(self) -> float:
+        """Distance of the fingers when both touch the object, metres."""
+        return max(self.opening - 2 * self.spare, 0.0)
 
     def placed(self, T_place_pick: Float) -> Float:
         """(4, 4) pose of the gripper where it lets go: the motion applied to the grasp (Sec. Method)."""
@@ -168,6 +199,7 @@ class MotionProblem:
         lower: (J,) smallest angles.
         upper: (J,) largest angles.
         free: says of (J,) angles whether the arm, and what it carries, touches nothing there.
+        time_s: longest search, seconds of processor time.
     """
 
     start: Float
@@ -175,6 +207,7 @@ class MotionProblem:
     lower: Float
     upper: Float
     free: Callable[[Float], bool]
+    time_s: float
 
 
 @dataclass(frozen=True)
@@ -184,7 +217,7 @@ class Outcome:
     Attributes:
         failure: why the object was not put where it should be; None where it was.
         object: instance id of the object that was taken, where the executor knows.
-        seconds: how long the motion took, on the robot's clock.
+        seconds: how long the move took, on the robot's clock.
     """
 
     failure: Failure | None

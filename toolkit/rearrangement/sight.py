@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.database import Database
 from toolkit.perception.fusion import FusedModel, fuse
 from toolkit.perception.pipeline import Pipeline
-from toolkit.rearrangement.moves import Item, Table
+from toolkit.rearrangement.moves import Item, Layout, Move
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
 
@@ -34,22 +34,27 @@ class Sight:
     """What one look at the table says.
 
     Attributes:
-        table: one item an instance, in the order of their ids.
+        layout: one item an instance, in the order of their ids.
         clouds: by instance, its (N, 3) points.
-        estimates: one a goal object.
+        estimates: one per goal object.
         goal_objects: by instance, the goal object it is taken for.
         failures: by goal object, why it has no motion.
     """
 
-    table: Table
-    clouds: dict[int, Float]
+    layout: Layout
+    clouds: Mapping[int, Float]
     estimates: tuple[PoseEstimate, ...]
-    goal_objects: dict[int, int]
-    failures: dict[int, Failure]
+    goal_objects: Mapping[int, int]
+    failures: Mapping[int, Failure]
+
+    def after(self, move: Move) -> Sight:
+        """What there is to see when `move` was carried out as meant."""
+        cloud = transform_points(move.T_place_pick, self.clouds[move.object])
+        return replace(self, layout=self.layout.after(move), clouds={**self.clouds, move.object: cloud})
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:
-    """Estimate every motion, and lay the objects out on a table.
+    """Estimate every motion, and say what stands where.
 
     An instance that several goal objects claim goes to the one of them that is surest.
 
@@ -72,8 +77,8 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
     count = int(database.instances.max()) + 1 if len(database) else 0
     clouds = {instance: _cloud(database, instance) for instance in range(count)}
     items = tuple(_item(instance, cloud, claims.get(instance), settings) for instance, cloud in clouds.items())
-    table = Table(items, radius=settings.radius_m, clearance=settings.clearance_m)
-    return Sight(table, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)
+    layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
+    return Sight(layout, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)
 
 
 def correct(before: Sight, now: Sight) -> Sight:
@@ -81,16 +86,16 @@ def correct(before: Sight, now: Sight) -> Sight:
 
     An object that is not seen again stays as it was; one that was not there before is left out.
     """
-    was = np.array([item.footprint.center for item in before.table.items]).reshape(-1, 2)
-    is_now = np.array([item.footprint.center for item in now.table.items]).reshape(-1, 2)
+    was = np.array([item.footprint.center for item in before.layout.items]).reshape(-1, 2)
+    is_now = np.array([item.footprint.center for item in now.layout.items]).reshape(-1, 2)
     distances = np.linalg.norm(was[:, None] - is_now[None], axis=2)
-    items, clouds = list(before.table.items), dict(before.clouds)
+    items, clouds = list(before.layout.items), dict(before.clouds)
     for i, j in zip(*linear_sum_assignment(distances), strict=True):
         if distances[i, j] <= _SAME_OBJECT_M:
-            seen = now.table.items[j]
+            seen = now.layout.items[j]
             items[i] = replace(seen, object=items[i].object)
             clouds[items[i].object] = now.clouds[seen.object]
-    return replace(before, table=replace(before.table, items=tuple(items)), clouds=clouds)
+    return replace(before, layout=replace(before.layout, items=tuple(items)), clouds=clouds)
 
 
 def _sureness(estimate: PoseEstimate) -> float:

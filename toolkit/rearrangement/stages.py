@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from toolkit.rearrangement.moves import Finished, Grasp, MotionProblem, Move, Outcome, PickPlace, Table
+from toolkit.rearrangement.moves import (
+    Finished,
+    Grasp,
+    GraspRequest,
+    Layout,
+    MotionProblem,
+    Move,
+    Outcome,
+    PickPlace,
+)
 from toolkit.registry import Registry
 from toolkit.types import Failure, Float, Frame
 
@@ -13,11 +23,12 @@ from toolkit.types import Failure, Float, Frame
 class Schedule(Protocol):
     """The moves of one rearrangement, decided one at a time."""
 
-    def next(self, table: Table) -> Move | Finished:
+    @abstractmethod
+    def next(self, layout: Layout) -> Move | Finished:
         """Return the next move from where things stand now, as they are seen or believed after the last move.
 
         Args:
-            table: the same objects, in the same order, at every call.
+            layout: the same objects, in the same order, at every call.
         """
         ...
 
@@ -25,29 +36,34 @@ class Schedule(Protocol):
 class Planner(Protocol):
     """Decides which object is moved where, and when (Sec. Method B)."""
 
+    @abstractmethod
     def start(self, seed: int) -> Schedule:
-        """Begin a rearrangement. The same tables and seed give the same moves."""
+        """Begin a rearrangement. The same layouts and seed give the same moves."""
         ...
 
 
 class Grasper(Protocol):
     """Finds grasps on an object of which only points are known (Sec. Method B)."""
 
-    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+    @abstractmethod
+    def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
         """Return grasps that touch nothing else, neither here nor where the object is put; best first.
 
-        A Failure says why there is none. The same request and seed give the same grasps.
+        A Failure says why there is none. The same request and seed give the same grasps, none of which opens wider
+        than the request's gripper.
         """
         ...
 
 
-class Motion(Protocol):
-    """Finds ways for an arm that touch nothing (Sec. Method B)."""
+class MotionPlanner(Protocol):
+    """Finds paths of an arm that touch nothing (Sec. Method B)."""
 
+    @abstractmethod
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
 
-        A Failure says why there is none. The same problem and seed give the same path.
+        A Failure says why there is none, and comes when the problem's time is up at the latest. The same problem and
+        seed give the same path, unless time runs out.
         """
         ...
 
@@ -59,8 +75,9 @@ class Executor(Protocol):
     grasps the object whose points it is given, and what goes wrong comes back as an `Outcome`.
     """
 
+    @abstractmethod
     def begin(self, task: Any) -> Frame:
-        """Take up a task and return its goal image.
+        """Take up a task and return its goal image. Where it raises, it has let go of everything again.
 
         Args:
             task: for simulators a `toolkit.data.tabletop.TabletopScene`, whose objects they put on their table;
@@ -68,24 +85,29 @@ class Executor(Protocol):
         """
         ...
 
+    @abstractmethod
     def observe(self) -> list[Frame]:
         """Return RGB-D frames of the table as it is, from the predefined views, the home view first."""
         ...
 
+    @abstractmethod
     def pick_place(self, request: PickPlace) -> Outcome:
         """Pick one object up and put it down elsewhere. A failure is an Outcome, never an exception."""
         ...
 
+    @abstractmethod
     def home(self) -> None:
         """Move out of the cameras' sight."""
         ...
 
+    @abstractmethod
     def state(self) -> Mapping[int, Float] | None:
         """Return the true (4, 4) model-to-world poses by instance id where they are known; else None."""
         ...
 
+    @abstractmethod
     def close(self) -> None:
-        """Let go of the task's resources."""
+        """Let go of the task that was begun."""
         ...
 
 
@@ -105,7 +127,11 @@ GRASPERS: Registry[Grasper] = Registry(
         "contact_graspnet": "toolkit.rearrangement.grasps.contact_graspnet:ContactGraspnet",
     },
 )
-MOTION: Registry[Motion] = Registry("motion", "toolkit.motion", {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"})
+MOTION_PLANNERS: Registry[MotionPlanner] = Registry(
+    "motion",
+    "toolkit.motion",
+    {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"},
+)
 EXECUTORS: Registry[Executor] = Registry(
     "executor",
     "toolkit.executors",

@@ -1,20 +1,20 @@
-"""Rows (one an object and cell) and summaries of rearrangements: task completion, Table II of the paper."""
+"""Rows (one per object and cell) and summaries of rearrangements: task completion, Table II of the paper."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from toolkit.results.rows import Estimate, SceneRow
-from toolkit.results.stats import bootstrap_interval, wilson_interval
+from toolkit.results.rows import Estimate, ObjectRow, by_cell
+from toolkit.results.stats import bootstrap_interval
 from toolkit.types import Float
 
 
-class MoveRow(SceneRow):
+class MoveRow(ObjectRow):
     """Where one true object ended, in one cell.
 
     Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
@@ -22,12 +22,6 @@ class MoveRow(SceneRow):
     `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
     """
 
-    settings: dict[str, Any]
-    dataset: str = ""
-    scene: str
-    object: int
-    object_name: str
-    symmetry: Literal["none", "discrete", "continuous"]
     rotation_error_deg: float
     translation_error_cm: float
     rotation_error_deg_sym: float
@@ -76,11 +70,8 @@ class CompletionSummary:
 
 
 def summarize_completion(rows: Sequence[MoveRow]) -> list[CompletionSummary]:
-    """One summary a cell, in the order the cells first occur."""
-    by_cell: dict[str, list[MoveRow]] = {}
-    for row in rows:
-        by_cell.setdefault(row.cell, []).append(row)
-    return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell.items()]
+    """One summary per cell, in the order the cells first occur."""
+    return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell(rows).items()]
 
 
 def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
@@ -94,11 +85,11 @@ def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
         settings=rows[0].settings,
         scenes=len(scenes),
         objects=len(rows),
-        completion=_share([all(row.success for row in own) for own in scenes.values()]),
-        completion_sym=_share([all(row.success_sym for row in own) for own in scenes.values()]),
-        completion_sym_one_step=_share([all(map(_right_in_one_step, own)) for own in scenes.values()]),
-        success=_share([row.success for row in rows]),
-        success_sym=_share([row.success_sym for row in rows]),
+        completion=Estimate.of_share([all(row.success for row in own) for own in scenes.values()]),
+        completion_sym=Estimate.of_share([all(row.success_sym for row in own) for own in scenes.values()]),
+        completion_sym_one_step=Estimate.of_share([all(map(_right_in_one_step, own)) for own in scenes.values()]),
+        success=Estimate.of_share([row.success for row in rows]),
+        success_sym=Estimate.of_share([row.success_sym for row in rows]),
         moves_per_object=_moves_per_object(scenes),
         moves_per_object_unforced=_moves_per_object(unforced) if unforced else None,
         buffer_moves_per_scene=float(np.mean([sum(row.buffer_moves for row in own) for own in scenes.values()])),
@@ -112,10 +103,6 @@ def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
 
 def _right_in_one_step(row: MoveRow) -> bool:
     return row.right_after[0] if row.right_after else row.success_sym
-
-
-def _share(outcomes: Sequence[bool]) -> Estimate:
-    return Estimate(float(np.mean(outcomes)), wilson_interval(sum(outcomes), len(outcomes)))
 
 
 def _moves_per_object(scenes: dict[int, list[MoveRow]]) -> Estimate:

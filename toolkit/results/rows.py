@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -19,32 +19,54 @@ from toolkit.results.stats import Interval, bootstrap_interval, wilson_interval
 from toolkit.types import Ambiguity, Float
 
 
-class SceneRow(BaseModel):
-    """What a run needs to know of any row: the cell and the scene it belongs to."""
+class ObjectRow(BaseModel):
+    """What every row says, whatever the run: which true object it is of, in which cell.
+
+    `dataset` is the digest of the dataset's settings: rows of one dataset and `scene_id` are of the same scene.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     cell: str
     scene_id: int
-
-
-RowT = TypeVar("RowT", bound=SceneRow)
-
-
-class Row(SceneRow):
-    """One goal object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
-
-    `in_current`: it is in the current scene too. One that is not is right without a motion, and has no errors.
-    `dataset` is the digest of the dataset's settings: rows of one dataset and `scene_id` are of the same scene.
-    `success_equivalent`: this motion, or one that the goal image does not tell apart from it, is right.
-    """
-
     settings: dict[str, Any]
     dataset: str = ""
     scene: str
     object: int
     object_name: str
     symmetry: Literal["none", "discrete", "continuous"]
+
+
+RowT = TypeVar("RowT", bound=ObjectRow)
+
+
+class Judged(Protocol):
+    """What reports need of any row: whether the object is right, and if not, how far off it is and why."""
+
+    cell: str
+    scene_id: int
+    object_name: str
+    symmetry: Literal["none", "discrete", "continuous"]
+    success_sym: bool
+    stage: str | None
+    reason: str | None
+
+    @property
+    def rotation_error_deg_sym(self) -> float | None:
+        """Rotation error, deg, symmetry-aware; None where there is no motion."""
+        ...
+
+
+JudgedT = TypeVar("JudgedT", bound=Judged)
+
+
+class Row(ObjectRow):
+    """One goal object in one cell. Errors are None where there is no motion; it counts as a failure all the same.
+
+    `in_current`: it is in the current scene too. One that is not is right without a motion, and has no errors.
+    `success_equivalent`: this motion, or one that the goal image does not tell apart from it, is right.
+    """
+
     in_current: bool = True
     status: Literal["estimated", "abstained", "failed", "missed"]
     stage: str | None = None
@@ -68,7 +90,7 @@ class Row(SceneRow):
     weights: dict[str, str] = {}
 
 
-def append_rows(path: Path, rows: Sequence[SceneRow]) -> None:
+def append_rows(path: Path, rows: Sequence[ObjectRow]) -> None:
     """Append rows as JSON lines and force them to the disk, so that a killed run keeps them."""
     with path.open("a") as file:
         file.write("".join(row.model_dump_json() + "\n" for row in rows))
@@ -76,7 +98,7 @@ def append_rows(path: Path, rows: Sequence[SceneRow]) -> None:
         os.fsync(file.fileno())
 
 
-def write_rows(path: Path, rows: Sequence[SceneRow]) -> None:
+def write_rows(path: Path, rows: Sequence[ObjectRow]) -> None:
     """Replace a rows file, whole or not at all."""
     write_text(path, "".join(row.model_dump_json() + "\n" for row in rows))
 
@@ -104,12 +126,25 @@ def read_rows_as(model: type[RowT], path: Path) -> list[RowT]:
     return rows
 
 
+def by_cell(rows: Sequence[JudgedT]) -> dict[str, list[JudgedT]]:
+    """The rows of every cell, in the order the cells first occur."""
+    found: dict[str, list[JudgedT]] = {}
+    for row in rows:
+        found.setdefault(row.cell, []).append(row)
+    return found
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A figure with its 95 % interval."""
 
     value: float
     interval: Interval
+
+    @staticmethod
+    def of_share(outcomes: Sequence[bool]) -> Estimate:
+        """The share of outcomes that are true, with its Wilson interval."""
+        return Estimate(float(np.mean(outcomes)), wilson_interval(sum(outcomes), len(outcomes)))
 
 
 @dataclass(frozen=True)
@@ -143,16 +178,13 @@ class CellSummary:
 
     @property
     def total_ms(self) -> float:
-        """Sum of the stages' median times, milliseconds an object."""
+        """Sum of the stages' median times, milliseconds per object."""
         return sum(self.time_ms.values())
 
 
 def summarize(rows: Sequence[Row]) -> list[CellSummary]:
-    """One summary a cell, in the order the cells first occur."""
-    by_cell: dict[str, list[Row]] = {}
-    for row in rows:
-        by_cell.setdefault(row.cell, []).append(row)
-    return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell.items()]
+    """One summary per cell, in the order the cells first occur."""
+    return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell(rows).items()]
 
 
 def _summarize_cell(cell: str, rows: list[Row]) -> CellSummary:
@@ -171,12 +203,12 @@ def _summarize_cell(cell: str, rows: list[Row]) -> CellSummary:
         translation_median_cm_sym=_median(errors(there, "translation_error_cm_sym"), scenes),
         rotation_p90_deg_sym=_p90(errors(there, "rotation_error_deg_sym")),
         translation_p90_cm_sym=_p90(errors(there, "translation_error_cm_sym")),
-        success=_share([row.success for row in rows]),
-        success_sym=_share([row.success_sym for row in rows]),
-        completion=_share(_completed(rows, "success")),
-        completion_sym=_share(_completed(rows, "success_sym")),
+        success=Estimate.of_share([row.success for row in rows]),
+        success_sym=Estimate.of_share([row.success_sym for row in rows]),
+        completion=Estimate.of_share(_completed(rows, "success")),
+        completion_sym=Estimate.of_share(_completed(rows, "success_sym")),
         absent=len(alarms),
-        false_alarms=_share(alarms) if alarms else None,
+        false_alarms=Estimate.of_share(alarms) if alarms else None,
         matcher_calls=float(np.mean([row.matcher_calls for row in rows])),
         time_ms={s: float(np.median([row.time_ms[s] for row in rows if s in row.time_ms])) for s in stages},
     )
@@ -190,8 +222,8 @@ def errors(rows: Sequence[Row], field: str) -> Float:
 
 def best_cell(rows: Sequence[Row]) -> str:
     """The cell with the largest share of right objects, the first of equals."""
-    cells = dict.fromkeys(row.cell for row in rows)
-    return max(cells, key=lambda cell: np.mean([row.success_sym for row in rows if row.cell == cell]))
+    cells = by_cell(rows)
+    return max(cells, key=lambda cell: np.mean([row.success_sym for row in cells[cell]]))
 
 
 def worst_rows(rows: Sequence[Row], count: int) -> list[Row]:
@@ -206,10 +238,6 @@ def _completed(rows: Sequence[Row], field: str) -> list[bool]:
     for row in rows:
         scenes[row.scene_id] = scenes.get(row.scene_id, True) and bool(getattr(row, field))
     return list(scenes.values())
-
-
-def _share(outcomes: Sequence[bool]) -> Estimate:
-    return Estimate(float(np.mean(outcomes)), wilson_interval(sum(outcomes), len(outcomes)))
 
 
 def _lower_median(values: Float) -> float:
@@ -228,7 +256,7 @@ def _p90(values: Float) -> float:
 
 
 def write_summary(path: Path, summaries: Sequence[object]) -> None:
-    """Write summary.csv: one line a cell, every figure with its interval; summaries are dataclasses."""
+    """Write summary.csv: one line per cell, every figure with its interval; summaries are dataclasses."""
     buffer = io.StringIO()
     lines = [_flat(summary) for summary in summaries]
     keys = list(dict.fromkeys(key for line in lines for key in line))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import make_transform
-from toolkit.sim.bullet import pybullet, silence
+from toolkit.sim.bullet import silence
+from toolkit.sim.client import BASE, EVERYTHING, Client, Contact
 from toolkit.sim.compound import add_compound, mass_center
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import RobotModel
@@ -20,9 +19,11 @@ from toolkit.types import Float
 STEP_S = 1 / 240
 _FRICTION, _TABLE_FRICTION = 0.8, 0.6
 _ROLLING = 0.0005
-_RAY_TOP_M, _RAY_BELOW_M = 2.0, 0.003
-_ROBOT, _ALL = 64, -1
-"""Bullet's collision groups: the robot's own, so that rays can look past it."""
+_ROBOT = 64
+"""The robot's own collision group, so that rays can look past it."""
+
+_PRESSES_N = 0.1
+"""A contact with less force is none to count on."""
 
 
 @dataclass(frozen=True)
@@ -59,21 +60,24 @@ class Bench:
         bodies: Sequence[tuple[Sequence[Path], float]],
         poses: Sequence[Float],
     ) -> None:
-        self.client: int = pybullet.connect(pybullet.DIRECT)
-        pybullet.setGravity(0, 0, -9.81, physicsClientId=self.client)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=STEP_S, numSolverIterations=150, deterministicOverlappingPairs=1, physicsClientId=self.client
+        self.client = Client()
+        self.client.setGravity(0, 0, -9.81)
+        self.client.setPhysicsEngineParameter(
+            fixedTimeStep=STEP_S, numSolverIterations=150, deterministicOverlappingPairs=1
         )
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self.client)
-        self.table: int = pybullet.createMultiBody(0, plane, physicsClientId=self.client)
-        pybullet.changeDynamics(self.table, -1, lateralFriction=_TABLE_FRICTION, physicsClientId=self.client)
+        self._table = self.client.add_plane()
+        self.client.changeDynamics(self._table, BASE, lateralFriction=_TABLE_FRICTION)
         self.robot = Robot(self.client, model, T_world_base)
-        for link in range(-1, pybullet.getNumJoints(self.robot.body, physicsClientId=self.client)):
-            pybullet.setCollisionFilterGroupMask(self.robot.body, link, _ROBOT, _ALL, physicsClientId=self.client)
+        for link in self.robot.links:
+            self.client.setCollisionFilterGroupMask(self.robot.body, link, _ROBOT, EVERYTHING)
         for link in self.robot.base_links:
-            pybullet.setCollisionFilterPair(self.robot.body, self.table, link, -1, 0, physicsClientId=self.client)
+            self.client.ignore(self.robot.body, self._table, link)
+        self._centers = [mass_center(hulls) for hulls, _ in bodies]
         with silence():
-            self._added = [self._add(hulls, mass, T) for (hulls, mass), T in zip(bodies, poses, strict=True)]
+            self._bodies = [
+                self._add(hulls, mass, center, T)
+                for (hulls, mass), center, T in zip(bodies, self._centers, poses, strict=True)
+            ]
         self.target = self.robot.q
         self.grip = model.drive[0]
         self.touches: list[Touch] = []
@@ -82,55 +86,33 @@ class Bench:
 
     def close(self) -> None:
         """Disconnect the client."""
-        with silence():
-            pybullet.disconnect(self.client)
+        self.client.close()
 
-    def _add(self, hulls: Sequence[Path], mass: float, T: Float) -> tuple[int, Float]:
-        """Body id, and (3,) its centre of mass in its own coordinates."""
+    def _add(self, hulls: Sequence[Path], mass: float, center: Float, T: Float) -> int:
+        """Body of an object at a (4, 4) pose; (3,) `center` is its centre of mass in its own coordinates."""
         shape = add_compound(self.client, hulls)
-        center = mass_center(hulls)
-        body = int(
-            pybullet.createMultiBody(
-                mass, shape, baseInertialFramePosition=center.tolist(), physicsClientId=self.client
-            )
+        body = int(self.client.createMultiBody(mass, shape, baseInertialFramePosition=center.tolist()))
+        self.client.changeDynamics(
+            body, BASE, lateralFriction=_FRICTION, spinningFriction=0.005, rollingFriction=_ROLLING
         )
-        pybullet.changeDynamics(
-            body,
-            -1,
-            lateralFriction=_FRICTION,
-            spinningFriction=0.005,
-            rollingFriction=_ROLLING,
-            physicsClientId=self.client,
-        )
-        place = T[:3, :3] @ center + T[:3, 3]
-        quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
-        pybullet.resetBasePositionAndOrientation(body, place.tolist(), quaternion, physicsClientId=self.client)
-        return body, center
+        self.client.place(body, make_transform(T[:3, :3], T[:3, :3] @ center + T[:3, 3]))
+        return body
 
     def pose(self, number: int) -> Float:
         """(4, 4) where an object is now."""
-        body, center = self._added[number]
-        place, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=self.client)
-        R = Rotation.from_quat(quaternion).as_matrix()
-        return make_transform(R, np.array(place) - R @ center)
+        T = self.client.pose(self._bodies[number])
+        return make_transform(T[:3, :3], T[:3, 3] - T[:3, :3] @ self._centers[number])
 
     def poses(self) -> list[Float]:
         """Where all objects are now."""
-        return [self.pose(number) for number in range(len(self._added))]
+        return [self.pose(number) for number in range(len(self._bodies))]
 
     def under(self, points: Float) -> int | None:
         """The object that vertical rays through most of (N, 3) points meet first; None where they meet none.
 
         The arm is no obstacle to them.
         """
-        above = np.column_stack([points[:, :2], np.full(len(points), _RAY_TOP_M)])
-        below = points - np.array([0, 0, _RAY_BELOW_M])
-        hits = pybullet.rayTestBatch(
-            above.tolist(), below.tolist(), collisionFilterMask=_ALL ^ _ROBOT, physicsClientId=self.client
-        )
-        numbers = {body: number for number, (body, _) in enumerate(self._added)}
-        counts = Counter(numbers[hit[0]] for hit in hits if hit[0] in numbers)
-        return min(counts, key=lambda number: (-counts[number], number), default=None)
+        return self.client.under(points, self._bodies, EVERYTHING ^ _ROBOT)
 
     def wait(self, seconds: float, phase: str, allowed: int | None) -> None:
         """Let time pass; the arm holds still and the gripper its drive value."""
@@ -142,7 +124,7 @@ class Bench:
         self.target = q
         self.robot.follow(q, velocity)
         self.robot.squeeze(self.grip)
-        pybullet.stepSimulation(physicsClientId=self.client)
+        self.client.stepSimulation()
         self.seconds += STEP_S
         self._log(phase, allowed)
         if self.on_step is not None:
@@ -150,36 +132,27 @@ class Bench:
 
     def on_table(self, number: int) -> bool:
         """Say whether an object presses on the table."""
-        points = pybullet.getContactPoints(self._added[number][0], self.table, physicsClientId=self.client)
-        return sum(point[9] for point in points) > 0.1
+        return _presses(self.client.contacts(self._bodies[number], self._table))
 
     def held(self, number: int) -> bool:
         """Say whether both fingertips press on an object."""
-        body = self._added[number][0]
-        return all(
-            sum(
-                point[9]
-                for point in pybullet.getContactPoints(
-                    self.robot.body, body, linkIndexA=tip, physicsClientId=self.client
-                )
-            )
-            > 0.1
-            for tip in self.robot.tips
-        )
+        body = self._bodies[number]
+        return all(_presses(self.client.contacts(self.robot.body, body, link=tip)) for tip in self.robot.tips)
 
     def _log(self, phase: str, allowed: int | None) -> None:
-        mine = None if allowed is None else self._added[allowed][0]
-        for contact in pybullet.getContactPoints(self.robot.body, physicsClientId=self.client):
-            other = contact[2] if contact[1] == self.robot.body else contact[1]
-            if contact[9] > 0 and other not in (mine, self.robot.body):
-                self.touches.append(Touch(phase, "the arm", self._name(other), float(contact[9])))
-        if mine is None:
-            return
-        for contact in pybullet.getContactPoints(mine, physicsClientId=self.client):
-            other = contact[2] if contact[1] == mine else contact[1]
-            if contact[9] > 0 and other not in (self.robot.body, self.table):
-                self.touches.append(Touch(phase, f"object {allowed}", self._name(other), float(contact[9])))
+        mine = None if allowed is None else self._bodies[allowed]
+        self._log_contacts(phase, "the arm", self.robot.body, but={mine, self.robot.body})
+        if mine is not None:
+            self._log_contacts(phase, f"object {allowed}", mine, but={self.robot.body, self._table})
+
+    def _log_contacts(self, phase: str, what: str, body: int, but: set[int | None]) -> None:
+        for contact in self.client.contacts(body):
+            if contact.force > 0 and contact.other not in but:
+                self.touches.append(Touch(phase, what, self._name(contact.other), contact.force))
 
     def _name(self, body: int) -> str:
-        numbers = {own: number for number, (own, _) in enumerate(self._added)}
-        return f"object {numbers[body]}" if body in numbers else "the table"
+        return "the table" if body == self._table else f"object {self._bodies.index(body)}"
+
+
+def _presses(contacts: Sequence[Contact]) -> bool:
+    return sum(contact.force for contact in contacts) > _PRESSES_N

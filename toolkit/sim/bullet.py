@@ -1,11 +1,10 @@
-"""PyBullet, imported when it is first used and without what its C code prints; its EGL renderer where it loads."""
+"""PyBullet, imported when it is first used and without what its C code prints; which renderer this machine has."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import importlib
-import importlib.util
 import os
 import subprocess
 import sys
@@ -71,21 +70,13 @@ def _import(name: str) -> Any:
         ) from error
 
 
-def load_egl(client: int) -> bool:
-    """Load PyBullet's EGL plug-in into a client; say whether that worked."""
-    spec: Any = importlib.util.find_spec("eglRenderer")
-    if spec is None or spec.origin is None:
-        return False
-    return pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
-
-
 @functools.cache
 def best_renderer() -> Renderer:
     """`egl` where PyBullet's plug-in loads, about twice as fast; else `tiny`, which always works.
 
     Tried in a process of its own: without a usable driver the plug-in ends the process it is loaded into.
     """
-    probe = "from toolkit.sim.bullet import *; raise SystemExit(not load_egl(pybullet.connect(pybullet.DIRECT)))"
+    probe = "from toolkit.sim.client import Client; raise SystemExit(not Client().load_egl())"
     try:
         done = subprocess.run([sys.executable, "-c", probe], capture_output=True, timeout=_PROBE_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired):

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import invert
-from toolkit.sim.bullet import pybullet, silence
+from toolkit.sim.bullet import silence
+from toolkit.sim.client import Client, Contact
 from toolkit.sim.compound import add_compound
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import RobotModel
@@ -32,18 +32,17 @@ class Clearance:
     """
 
     def __init__(self, model: RobotModel, T_world_base: Float, hulls: Sequence[Sequence[Path]]) -> None:
-        self.client: int = pybullet.connect(pybullet.DIRECT)
-        self.robot = Robot(self.client, model, T_world_base, own_collisions=True)
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self.client)
-        self._table: int = pybullet.createMultiBody(0, plane, physicsClientId=self.client)
+        self._client = Client()
+        self.robot = Robot(self._client, model, T_world_base, own_collisions=True)
+        self._table = self._client.add_plane()
         with silence():
-            shapes = [add_compound(self.client, pieces, _GROW_M) for pieces in hulls]
+            shapes = [add_compound(self._client, pieces, _GROW_M) for pieces in hulls]
         # A mass, because PyBullet looks for no contacts between bodies without one.
-        self._bodies = [int(pybullet.createMultiBody(1, shape, physicsClientId=self.client)) for shape in shapes]
+        self._bodies = [int(self._client.createMultiBody(1, shape)) for shape in shapes]
         for body in self._bodies:
-            self._collide(body, self._table, False)
+            self._client.ignore(body, self._table)
         for link in self.robot.base_links:
-            pybullet.setCollisionFilterPair(self.robot.body, self._table, link, -1, 0, physicsClientId=self.client)
+            self._client.ignore(self.robot.body, self._table, link)
         self.carried: int | None = None
         self._ignored: int | None = None
         self._neared: int | None = None
@@ -52,13 +51,12 @@ class Clearance:
 
     def close(self) -> None:
         """Disconnect the client."""
-        with silence():
-            pybullet.disconnect(self.client)
+        self._client.close()
 
     def arrange(self, poses: Sequence[Float], drive: float) -> None:
         """Put every object at its (4, 4) pose and the fingers at a drive value; nothing is carried."""
         for body, pose in zip(self._bodies, poses, strict=True):
-            self._place(body, pose)
+            self._client.place(body, pose)
         self.robot.set_drive(drive)
         self.carried = self._ignored = self._neared = None
 
@@ -78,13 +76,13 @@ class Clearance:
     def put(self, number: int, pose: Float) -> None:
         """Put one object down at a (4, 4) pose; the hand may still touch it."""
         self.carried = None
-        self._place(self._bodies[number], pose)
+        self._client.place(self._bodies[number], pose)
 
     def room(self, number: int, pose: Float) -> bool:
         """Say whether an object at a (4, 4) pose would touch no other object; it stays there."""
         body = self._bodies[number]
-        self._place(body, pose)
-        pybullet.performCollisionDetection(physicsClientId=self.client)
+        self._client.place(body, pose)
+        self._client.performCollisionDetection()
         return self._neighbour(body) is None
 
     def free(self, q: Float) -> bool:
@@ -95,48 +93,40 @@ class Clearance:
         """What arm or load touch at (J,) joint angles: 'the table', 'object 3', 'itself'; None for nothing."""
         self.robot.set(q)
         if self.carried is not None:
-            self._place(self.carried, self.robot.T_world_hand() @ self._T_hand_object)
-        pybullet.performCollisionDetection(physicsClientId=self.client)
-        for contact in pybullet.getContactPoints(self.robot.body, physicsClientId=self.client):
-            if contact[8] > 0:
-                continue
-            one, other = (contact[i] for i in ((3, 2) if contact[1] == self.robot.body else (4, 1)))
-            if other == self.robot.body:
-                if abs(self.robot.rank[contact[3]] - self.robot.rank[contact[4]]) >= _FAR_LINKS:
-                    return "itself"
-            elif other == self._neared and contact[8] > -_GROW_M:
-                continue
-            elif other != self._ignored and not (other == self._table and one in self.robot.base_links):
-                return self._name(other)
+            self._client.place(self.carried, self.robot.T_world_hand() @ self._T_hand_object)
+        self._client.performCollisionDetection()
+        for contact in self._client.contacts(self.robot.body):
+            if contact.distance <= 0 and not self._is_meant(contact):
+                return self._name(contact.other)
         if self.carried is None:
             return None
         neighbour = self._neighbour(self.carried)
         if neighbour is not None:
             return self._name(neighbour)
-        low = pybullet.getAABB(self.carried, physicsClientId=self.client)[0][2]
-        return "the table" if low < self._lowest else None
+        return "the table" if self._client.box(self.carried)[0][2] < self._lowest else None
+
+    def _is_meant(self, contact: Contact) -> bool:
+        """Say whether the robot may have a contact: between neighbouring links, with what it takes or carries."""
+        if contact.other == self.robot.body:
+            return abs(self.robot.rank[contact.link] - self.robot.rank[contact.other_link]) < _FAR_LINKS
+        if contact.other == self._neared and contact.distance > -_GROW_M:
+            return True
+        on_foot = contact.other == self._table and contact.link in self.robot.base_links
+        return contact.other == self._ignored or on_foot
 
     def _neighbour(self, body: int) -> int | None:
         """Another object that an object touches."""
-        for contact in pybullet.getContactPoints(body, physicsClientId=self.client):
-            other = contact[2] if contact[1] == body else contact[1]
-            if contact[8] <= 0 and other not in (self.robot.body, self._table):
-                return int(other)
-        return None
+        others = (contact.other for contact in self._client.contacts(body) if contact.distance <= 0)
+        return next((other for other in others if other not in (self.robot.body, self._table)), None)
 
     def _name(self, body: int) -> str:
+        if body == self.robot.body:
+            return "itself"
         return "the table" if body == self._table else f"object {self._bodies.index(body)}"
-
-    def _place(self, body: int, pose: Float) -> None:
-        quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-        pybullet.resetBasePositionAndOrientation(body, pose[:3, 3].tolist(), quaternion, physicsClientId=self.client)
-
-    def _collide(self, a: int, b: int, on: bool) -> None:
-        pybullet.setCollisionFilterPair(a, b, -1, -1, int(on), physicsClientId=self.client)
 
     def hand_at(self, q: Float) -> Float:
         """(4, 4) pose of the hand at (J,) joint angles."""
-        return self.robot.chain.frames(q[None])[1][0]
+        return self.robot.chain.end(q)
 
     def object_in_hand(self, q: Float, T_world_object: Float) -> Float:
         """(4, 4) an object's pose in the frame of the hand at (J,) joint angles."""

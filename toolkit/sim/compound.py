@@ -12,10 +12,11 @@ import numpy as np
 import trimesh
 
 from toolkit.sim.bullet import pybullet
+from toolkit.sim.client import Client
 from toolkit.types import Float
 
 
-def add_compound(client: int, hulls: Sequence[Path], grow: float = 0.0) -> int:
+def add_compound(client: Client, hulls: Sequence[Path], grow: float = 0.0) -> int:
     """Make one collision shape of convex meshes (OBJ or STL) in a client, grown by some metres; returns its id.
 
     PyBullet's own list of shapes ends at 16 and drops the rest without a word; the objects of one OBJ file become
@@ -24,7 +25,7 @@ def add_compound(client: int, hulls: Sequence[Path], grow: float = 0.0) -> int:
     with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
         file = Path(folder) / "compound.obj"
         file.write_text(_obj_text(tuple(hulls), grow))
-        return int(pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(file), physicsClientId=client))
+        return int(client.createCollisionShape(pybullet.GEOM_MESH, fileName=str(file)))
 
 
 @lru_cache(maxsize=512)

@@ -48,6 +48,10 @@ class Chain:
             frame = np.matmul(frame, steps[:, i], out=joints[:, i])
         return joints, frame @ self.T_end
 
+    def end(self, q: Float) -> Float:
+        """(4, 4) world frame of the end at (J,) angles."""
+        return self.frames(q[None])[1][0]
+
     @cached_property
     def _joint_terms(self) -> tuple[Float, Float, Float]:
         """(J, 4, 4) each: a joint's frame in the one before it is the first, plus sine and cosine times the others."""

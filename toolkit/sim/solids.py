@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from toolkit.sim.bullet import pybullet, silence
+from toolkit.sim.bullet import silence
+from toolkit.sim.client import Client
 from toolkit.sim.compound import add_compound
 from toolkit.types import Float
 
-_RAY_TOP_M = 2.0
-_RAY_BELOW_M = 0.003
+_FAR_M = 0.1
+"""Bodies further apart than this have no gap that is measured."""
 
 
 class Solids:
@@ -25,46 +24,37 @@ class Solids:
     """
 
     def __init__(self, hulls: Sequence[Sequence[Path]]) -> None:
-        self.client: int = pybullet.connect(pybullet.DIRECT)
+        self.client = Client()
         with silence():
             self._bodies = [self._add(pieces) for pieces in hulls]
 
     def close(self) -> None:
         """Disconnect the client."""
-        with silence():
-            pybullet.disconnect(self.client)
+        self.client.close()
 
     def _add(self, pieces: Sequence[Path]) -> int:
-        shape = add_compound(self.client, pieces)
-        return int(pybullet.createMultiBody(0, shape, physicsClientId=self.client))
+        return int(self.client.createMultiBody(0, add_compound(self.client, pieces)))
 
     def place(self, number: int, T_world_body: Float) -> None:
         """Put body `number` at a (4, 4) pose."""
-        quaternion = Rotation.from_matrix(T_world_body[:3, :3]).as_quat()
-        pybullet.resetBasePositionAndOrientation(
-            self._bodies[number], T_world_body[:3, 3].tolist(), quaternion.tolist(), physicsClientId=self.client
-        )
+        self.client.place(self._bodies[number], T_world_body)
 
     def touching(self, number: int, depth: float) -> list[int]:
         """Numbers of the bodies that body `number` cuts into by more than `depth` metres, ascending."""
-        low, high = pybullet.getAABB(self._bodies[number], physicsClientId=self.client)
-        near = pybullet.getOverlappingObjects(low, high, physicsClientId=self.client) or ()
+        low, high = self.client.box(self._bodies[number])
+        near = self.client.getOverlappingObjects(low.tolist(), high.tolist()) or ()
         others = sorted({self._bodies.index(body) for body, _ in near} - {number})
         return [other for other in others if self.gap(number, other) < -depth]
 
     def gap(self, a: int, b: int) -> float:
         """Distance of two bodies, metres; negative where they cut into each other, infinite beyond 10 cm."""
-        found = pybullet.getClosestPoints(self._bodies[a], self._bodies[b], 0.1, physicsClientId=self.client)
-        return min((contact[8] for contact in found), default=np.inf)
+        found = self.client.closest(self._bodies[a], self._bodies[b], _FAR_M)
+        return min((contact.distance for contact in found), default=np.inf)
 
     def top(self, number: int) -> float:
         """Largest z of a body's box, metres."""
-        return float(pybullet.getAABB(self._bodies[number], physicsClientId=self.client)[1][2])
+        return float(self.client.box(self._bodies[number])[1][2])
 
     def under(self, points: Float) -> int | None:
         """The body that vertical rays through most of (N, 3) points meet first; None where they meet none."""
-        above = np.column_stack([points[:, :2], np.full(len(points), _RAY_TOP_M)])
-        below = points - np.array([0, 0, _RAY_BELOW_M])
-        hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
-        counts = Counter(self._bodies.index(hit[0]) for hit in hits if hit[0] in self._bodies)
-        return min(counts, key=lambda number: (-counts[number], number), default=None)
+        return self.client.under(points, self._bodies)

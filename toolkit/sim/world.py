@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
-from toolkit.sim.bullet import Renderer, load_egl, pybullet, silence
+from toolkit.sim.bullet import Renderer, pybullet, silence
+from toolkit.sim.client import BASE, Client
 from toolkit.types import Camera, Float, Image
 
 _NEAR_M = 0.2
@@ -27,7 +27,7 @@ class Light:
     """A distant light.
 
     Attributes:
-        direction: (x, y, z) from the scene to the light, world coordinates.
+        direction: (x, y, z) from what is lit to the light, world coordinates.
         ambient: light from everywhere, 0..1.
         diffuse: light from the direction, 0..1.
     """
@@ -49,15 +49,13 @@ class World:
     """
 
     def __init__(self, renderer: Renderer = "tiny", far_m: float = 4.0) -> None:
-        self.client: int = pybullet.connect(pybullet.DIRECT)
+        self.client = Client()
         self._far_m = far_m
         self._renderer = pybullet.ER_TINY_RENDERER
         # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/sim/test_world.py measures it).
         self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
         if renderer == "egl":
-            with silence():
-                loaded = load_egl(self.client)
-            if not loaded:
+            if not self.client.load_egl():
                 self.close()
                 raise ToolkitError("PyBullet's EGL renderer does not load here; set dataset.renderer to tiny")
             self._renderer = pybullet.ER_BULLET_HARDWARE_OPENGL
@@ -72,8 +70,7 @@ class World:
 
     def close(self) -> None:
         """Disconnect the client."""
-        with silence():
-            pybullet.disconnect(self.client)
+        self.client.close()
 
     def add_visuals(self, visuals: Sequence[tuple[Path, Path]]) -> list[int]:
         """Add meshes (OBJ) with their textures, which collide with nothing, at the origin; returns their body ids.
@@ -81,28 +78,19 @@ class World:
         To be called once, before anything else is added: with EGL, a mesh whose own material names an image takes a
         texture number that a later loadTexture does not count, and the textures of all later meshes are mixed up.
         """
-        textures = [pybullet.loadTexture(str(texture), physicsClientId=self.client) for _, texture in visuals]
+        textures = [self.client.loadTexture(str(texture)) for _, texture in visuals]
         bodies: list[int] = []
         for (mesh, _), texture in zip(visuals, textures, strict=True):
-            shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0], physicsClientId=self.client
-            )
-            body = pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
-            pybullet.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self.client)
-            bodies.append(int(body))
+            shape = self.client.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0])
+            body = int(self.client.createMultiBody(0, -1, shape))
+            self.client.changeVisualShape(body, BASE, textureUniqueId=texture)
+            bodies.append(body)
         return bodies
-
-    def move(self, body: int, T_world_object: Float) -> None:
-        """Put a body at a (4, 4) pose, exactly."""
-        quaternion = Rotation.from_matrix(T_world_object[:3, :3]).as_quat()
-        pybullet.resetBasePositionAndOrientation(
-            body, T_world_object[:3, 3].tolist(), quaternion.tolist(), physicsClientId=self.client
-        )
 
     def move_all(self, bodies: Sequence[int], poses: Sequence[Float]) -> None:
         """Put every body at its (4, 4) pose."""
         for body, T_world_object in zip(bodies, poses, strict=True):
-            self.move(body, T_world_object)
+            self.client.place(body, T_world_object)
 
     def render(self, camera: Camera, light: Light, supersample: int = 1) -> tuple[Image, Float, NDArray[np.int32]]:
         """Render what a camera sees.
@@ -118,7 +106,7 @@ class World:
         """
         width, height = camera.width * supersample, camera.height * supersample
         with silence() if self._renderer != pybullet.ER_TINY_RENDERER else contextlib.nullcontext():
-            _, _, rgba, zbuffer, ids = pybullet.getCameraImage(
+            _, _, rgba, zbuffer, ids = self.client.getCameraImage(
                 width,
                 height,
                 _gl_view(camera),
@@ -129,7 +117,6 @@ class World:
                 lightSpecularCoeff=0.0,
                 shadow=0,
                 renderer=self._renderer,
-                physicsClientId=self.client,
             )
         rgb = np.reshape(np.asarray(rgba, np.uint8), (height, width, 4))[..., :3]
         z = np.reshape(np.asarray(zbuffer, np.float64), (height, width))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from toolkit import __version__
-from toolkit.files import write_text
+from toolkit.files import new_file, write_text
 
 
 def export(model: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
@@ -31,9 +30,8 @@ def export(model: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         for name, value in model.state_dict().items()
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    save_file(state, temporary)
-    temporary.replace(path)
+    with new_file(path) as temporary:
+        save_file(state, temporary)
     data = path.read_bytes()
     facts = {
         **card,

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from toolkit.errors import ToolkitError
+from toolkit.files import new_file
 from toolkit.progress import Progress
 from toolkit.training.config import LoopConfig
 from toolkit.training.curves import draw_curves
@@ -177,9 +178,8 @@ class Trainer(Generic[BatchT]):
             "step": self.step,
             "seconds": self.seconds,
         }
-        temporary = self.out / f".{CHECKPOINT}.tmp"
-        torch.save(state, temporary)
-        temporary.replace(self.out / CHECKPOINT)
+        with new_file(self.out / CHECKPOINT) as temporary:
+            torch.save(state, temporary)
         draw_curves(self.out / CURVES)
 
 

@@ -7,7 +7,6 @@ are not.
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from toolkit.digests import digest
+from toolkit.files import make_once
 from toolkit.models.efficientnet_lite import DEVIATION, MEAN, StackedStages, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import mixer_lite
@@ -152,20 +152,16 @@ class MixvprTask:
     def _maps(self, pool: Pool, crops: int) -> MapPool:
         """The backbone's maps of a pool, made once."""
         key = digest([pool.key, self._backbone.width, crops, self.config.crops.model_dump(mode="json")])[:16]
-        folder = self._cache / "training-pools" / f"maps-{key}"
-        if not folder.is_dir():
-            self._write_maps(pool, crops, folder)
+        place = self._cache / "training-pools" / f"maps-{key}"
+        folder = make_once(place, lambda folder: self._write_maps(pool, crops, folder))
         labels = np.load(folder / "labels.npy", allow_pickle=False)
         maps = np.load(folder / "maps.npy", mmap_mode="r", allow_pickle=False)
         return MapPool(maps, labels[:, 0].astype(np.int64), labels[:, 1].astype(np.int64), labels[:, 2])
 
     @torch.inference_mode()
     def _write_maps(self, pool: Pool, crops: int, folder: Path) -> None:
-        temporary = folder.with_name(f".{folder.name}")
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
         shape = (len(pool.views), crops, self._backbone.width, 10, 10)
-        maps: Any = np.lib.format.open_memmap(temporary / "maps.npy", "w+", np.float16, shape)
+        maps: Any = np.lib.format.open_memmap(folder / "maps.npy", "w+", np.float16, shape)
         with self._progress.step("Backbone", len(pool.views)) as advance:
             for start in range(0, len(pool.views), 16):
                 views = pool.views[start : start + 16]
@@ -180,8 +176,7 @@ class MixvprTask:
                 advance(len(views))
         maps.flush()
         labels = np.array([[v.object_id, v.rest, v.azimuth] for v in pool.views])
-        np.save(temporary / "labels.npy", labels, allow_pickle=False)
-        temporary.rename(folder)
+        np.save(folder / "labels.npy", labels, allow_pickle=False)
 
 
 def view_relations(

@@ -1,4 +1,4 @@
-"""A pool of rendered object views with depth and pose, drawn once and kept: the renderer never holds training up.
+"""A pool of rendered object views with depth and pose, drawn once and kept: training never waits for the renderer.
 
 Every frame is a fresh arrangement on the table, seen by a random camera under a random light, so that occlusion,
 perspective and what lies around an object are as in the benchmark. Depth and pose relate the views of an object.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from toolkit.data.procedural.families import FAMILIES
 from toolkit.data.table import table_files
 from toolkit.digests import digest, source_digest
 from toolkit.errors import ToolkitError
+from toolkit.files import make_once
 from toolkit.geometry import invert, look_at
 from toolkit.progress import Progress
 from toolkit.registry import PluginConfig
@@ -46,19 +46,32 @@ _VERSION = 1
 class PoolConfig(PluginConfig):
     """Settings of a pool of views."""
 
-    objects_per_family: int = Field(default=36, ge=1, description="Procedural objects drawn of every category.")
-    objects_per_scene: int = Field(default=12, ge=1, description="Objects on the table together.")
-    frames: int = Field(
-        default=40, ge=2, description="Frames of every scene; each is a new arrangement, camera and light."
+    objects_per_family: int = Field(
+        default=36, ge=1, description="Number of procedural objects that are drawn for every category."
     )
-    elevation_deg: tuple[float, float] = Field(default=(28.0, 65.0), description="Range of the camera's elevation.")
-    distance_m: tuple[float, float] = Field(default=(0.85, 1.3), description="Range of the camera's distance.")
-    focal_px: tuple[float, float] = Field(default=(600.0, 950.0), description="Range of the focal length, 640x480.")
+    objects_per_scene: int = Field(default=12, ge=1, description="Number of objects that stand on the table together.")
+    frames: int = Field(
+        default=40, ge=2, description="Number of frames of every scene; each has a new arrangement, camera and light."
+    )
+    elevation_deg: tuple[float, float] = Field(
+        default=(28.0, 65.0), description="Range of the camera's elevation, in degrees."
+    )
+    distance_m: tuple[float, float] = Field(
+        default=(0.85, 1.3), description="Range of the camera's distance, in metres."
+    )
+    focal_px: tuple[float, float] = Field(
+        default=(600.0, 950.0), description="Range of the focal length at 640x480, in pixels."
+    )
     other_pose: float = Field(
-        default=0.15, ge=0, le=1, description="Share of scenes whose objects rest in another stable pose."
+        default=0.15,
+        ge=0,
+        le=1,
+        description="Share of scenes whose objects rest in a stable pose other than the natural one.",
     )
     seed: int = Field(default=0, ge=0, description="Seed of the pool.")
-    renderer: Renderer = Field(default_factory=best_renderer, description="egl where it loads, else tiny.")
+    renderer: Renderer = Field(
+        default_factory=best_renderer, description="PyBullet's EGL plug-in where it loads, else TinyRenderer."
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +132,7 @@ def describe(trained: Pool, evaluated: Mapping[str, Pool], samples: str, folder:
 
 
 def is_held_out(name: str) -> bool:
-    """Whether an object is kept out of training: a third of all names, the same for ever."""
+    """Whether an object is kept out of training: a third of all names, which never changes."""
     return hashlib.sha256(f"held out: {name}".encode()).digest()[0] % 3 == 0
 
 
@@ -140,14 +153,9 @@ def training_pool(config: PoolConfig, folder: Path | None, cache: Path, progress
 
 def procedural_pool(config: PoolConfig, cache: Path, progress: Progress, *, held_out: bool) -> Pool:
     """The pool of the procedural objects trained on, or of those held out; rendered below `cache` when absent."""
-    objects = (
-        cache / "objects" / f"training-{config.objects_per_family}-{source_digest('toolkit.data.procedural')[:16]}"
-    )
-    if not objects.is_dir():
-        temporary = objects.with_name(f".{objects.name}")
-        shutil.rmtree(temporary, ignore_errors=True)
-        write_set(temporary, dict.fromkeys(FAMILIES, config.objects_per_family))
-        temporary.rename(objects)
+    counts = dict.fromkeys(FAMILIES, config.objects_per_family)
+    name = f"training-{config.objects_per_family}-{source_digest('toolkit.data.procedural')[:16]}"
+    objects = make_once(cache / "objects" / name, lambda folder: write_set(folder, counts))
     assets = [a for a in load_object_set(str(objects), cache).assets if is_held_out(a.name) == held_out]
     return _cached(config, assets, cache, progress, "held-out" if held_out else "training")
 
@@ -162,10 +170,12 @@ def _cached(config: PoolConfig, assets: Sequence[ObjectAsset], cache: Path, prog
         raise ToolkitError(f"the {title} pool has {len(assets)} objects; raise pool.objects_per_family")
     files = [hashlib.sha256(a.mesh.read_bytes() + a.texture.read_bytes()).hexdigest() for a in assets]
     key = digest([_VERSION, config.model_dump(mode="json"), files])[:16]
-    folder = cache / "training-pools" / f"{title}-{key}"
-    if not folder.is_dir():
-        _render(config, assets, cache, folder, progress, title)
-    return _read(folder)
+    return _read(
+        make_once(
+            cache / "training-pools" / f"{title}-{key}",
+            lambda folder: _render(config, assets, cache, folder, progress, title),
+        )
+    )
 
 
 def _render(
@@ -251,9 +261,6 @@ def _cut(
 
 def _write(folder: Path, names: Sequence[str], views: Sequence[View]) -> None:
     """Pixels of all views end to end, so that a pool is six arrays that load in a moment."""
-    temporary = folder.with_name(f".{folder.name}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
     arrays = {
         "rgb": np.concatenate([v.rgb.reshape(-1, 3) for v in views]),
         "depth": np.concatenate([v.depth.ravel() for v in views]),
@@ -264,9 +271,8 @@ def _write(folder: Path, names: Sequence[str], views: Sequence[View]) -> None:
         "azimuths": np.array([v.azimuth for v in views]),
     }
     for name, array in arrays.items():
-        np.save(temporary / f"{name}.npy", array, allow_pickle=False)
-    (temporary / "names.json").write_text(json.dumps(list(names)))
-    temporary.rename(folder)
+        np.save(folder / f"{name}.npy", array, allow_pickle=False)
+    (folder / "names.json").write_text(json.dumps(list(names)))
 
 
 def _read(folder: Path) -> Pool:

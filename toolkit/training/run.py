@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from toolkit.files import write_text
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.registry import validated
+from toolkit.settings import assign, read_settings, shipped_settings
 from toolkit.sim.bullet import require_pybullet
 from toolkit.training.config import LoftrTraining, MixvprTraining
 from toolkit.training.export import export
@@ -64,24 +64,13 @@ def read_training(network: str, file: Path | None, overrides: Mapping[str, Any])
     """
     if network not in NETWORKS:
         raise ToolkitError(f"unknown network '{network}'{suggest(network, list(NETWORKS))}")
-    path = file or _shipped() / f"{network}.yaml"
-    try:
-        data = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ToolkitError(f"training settings '{path}' cannot be read: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise ToolkitError(f"training settings '{path}' are not YAML: {getattr(error, 'problem', error)}") from error
-    if not isinstance(data, dict):
-        raise ToolkitError(f"training settings '{path}' must be a mapping with loop, pool and what the network needs")
+    path = file or shipped_settings("train")[network]
+    what = "training settings"
+    data = read_settings(path, what, "loop, pool and what the network needs")
+    settings = validated(NETWORKS[network], data, f"{what} '{path}'").model_dump(mode="json")
     for key, value in overrides.items():
-        *parents, last = key.split(".")
-        node: Any = data
-        for parent in parents:
-            node = node.setdefault(parent, {})
-            if not isinstance(node, dict):
-                raise ToolkitError(f"cannot set '{key}': '{parent}' is a value, not a group")
-        node[last] = value
-    return validated(NETWORKS[network], data, f"training settings '{path}'")
+        assign(settings, key, value)
+    return validated(NETWORKS[network], settings, f"{what} '{path}'")
 
 
 def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOptions, progress: Progress) -> Path:
@@ -130,9 +119,3 @@ def _check_folder(options: TrainOptions) -> None:
     if (options.out / "checkpoint.pt").exists() and not options.resume:
         raise ToolkitError(f"'{options.out}' already holds a training; add --resume to go on, or use another --out")
     options.out.mkdir(parents=True, exist_ok=True)
-
-
-def _shipped() -> Path:
-    packaged = Path(str(files("toolkit"))) / "experiments"
-    folder = packaged if packaged.is_dir() else Path(__file__).parents[2] / "experiments"
-    return folder / "train"

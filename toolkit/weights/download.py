@@ -1,9 +1,10 @@
-"""Downloads that resume, and that leave no half file under the final name."""
+"""Downloads that can be resumed, and that never leave part of a file under the final name."""
 
 from __future__ import annotations
 
 import urllib.error
 import urllib.request
+from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -23,15 +24,29 @@ def source_url(source: str) -> str:
     return source
 
 
-def download(source: str, target: Path) -> None:
+def download(source: str, target: Path, left: Path) -> None:
     """Fetch a source into `target`, going on where an earlier attempt stopped.
+
+    Args:
+        source: an address.
+        target: written by this process alone.
+        left: what an attempt that is cut off leaves for the next one, whichever process that is.
 
     Raises:
         OSError: the source does not answer, or the file cannot be written.
     """
-    partial = target.with_name(f"{target.name}.part")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    have = partial.stat().st_size if partial.is_file() else 0
+    with suppress(FileNotFoundError):
+        left.rename(target)
+    try:
+        _receive(source, target, left.stem)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            target.replace(left)
+        raise
+
+
+def _receive(source: str, target: Path, title: str) -> None:
+    have = target.stat().st_size if target.is_file() else 0
     request = urllib.request.Request(source_url(source), headers={"Range": f"bytes={have}-"} if have else {})
     try:
         answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
@@ -39,21 +54,20 @@ def download(source: str, target: Path) -> None:
         if error.code != _RANGE_REFUSED or not have:
             raise
         # What is left of an earlier attempt does not fit what the source has now.
-        partial.unlink()
-        return download(source, target)
+        target.unlink()
+        return _receive(source, target, title)
     with answer:
         resumed = answer.status == 206
         length = int(answer.headers.get("Content-Length", 0))
         expected = length + (have if resumed else 0) if length else 0
         with (
-            partial.open("ab" if resumed else "wb") as file,
-            Progress(Console(stderr=True)).step(f"Downloading {target.name}", expected) as advance,
+            target.open("ab" if resumed else "wb") as file,
+            Progress(Console(stderr=True)).step(f"Downloading {title}", expected) as advance,
         ):
             advance(file.tell())
             while chunk := answer.read(_CHUNK):
                 file.write(chunk)
                 advance(len(chunk))
-    if expected and partial.stat().st_size != expected:
-        raise OSError(f"{source}: the connection ended after {partial.stat().st_size} of {expected} bytes")
-    partial.replace(target)
+    if expected and target.stat().st_size != expected:
+        raise OSError(f"{source}: the connection ended after {target.stat().st_size} of {expected} bytes")
     return None

@@ -51,7 +51,7 @@ def resolve_folder(name: str, given: Path | None = None) -> Path:
 
 
 def find_card(name: str) -> WeightCard:
-    """The card called `name`; raises ToolkitError, offering the nearest, where there is none."""
+    """The card called `name`; where there is none, raises ToolkitError and suggests the nearest name."""
     if name not in CARDS:
         raise ToolkitError(f"unknown weights '{name}'{suggest(name, sorted(CARDS))}")
     return CARDS[name]
@@ -71,7 +71,7 @@ def weight_folders() -> list[Path]:
 
 
 def file_digest(path: Path) -> str:
-    """sha256 hex of a file; computed once for every state of it."""
+    """sha256 of a file, hexadecimal; computed again only after the file has changed."""
     status = path.stat()
     return _digest_of_state(path, status.st_mtime_ns, status.st_size)
 
@@ -89,19 +89,13 @@ def _is_intact(card: WeightCard, path: Path) -> bool:
 def _fetch(card: WeightCard) -> Path:
     """Fetch from the first source that delivers what the card says; nothing else reaches the final name."""
     target = weight_folders()[-1] / card.file
-    arriving = target.with_name(f"{target.name}.new")
     reasons: list[str] = []
     for source in card.sources:
         try:
-            fetch(source, arriving)
+            fetch(source, target, card.sha256)
+            return target
         except OSError as error:
             reasons.append(str(error))
-            continue
-        if _is_intact(card, arriving):
-            arriving.replace(target)
-            return target
-        arriving.unlink()
-        reasons.append(f"what {source} delivers has another sha256 than the card")
     raise ToolkitError(
         f"weights '{card.name}' cannot be fetched here: {'; '.join(reasons)}; "
         f"put {card.file} into '{target.parent}' or name a folder that holds it in $TOOLKIT_WEIGHTS"

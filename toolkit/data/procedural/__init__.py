@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import numpy as np
 from toolkit.data.procedural.families import FAMILIES, Drawn
 from toolkit.data.procedural.meshes import hull_stl, obj_text
 from toolkit.digests import source_digest
+from toolkit.files import make_once
 
 
 def procedural_folder(parent: Path) -> Path:
@@ -22,18 +21,8 @@ def procedural_folder(parent: Path) -> Path:
 
     Every object comes from its own name's seed, so that the set can grow without changing what is in it.
     """
-    folder = parent / f"procedural-{source_digest(__name__)[:16]}"
-    if folder.is_dir():
-        return folder
-    temporary = parent / f".{folder.name}.{os.getpid()}"
-    shutil.rmtree(temporary, ignore_errors=True)
-    write_set(temporary, {category: count for category, (_, count) in FAMILIES.items()})
-    try:
-        temporary.rename(folder)
-    except OSError:
-        # Another process was faster; its set is the same.
-        shutil.rmtree(temporary)
-    return folder
+    counts = {category: count for category, (_, count) in FAMILIES.items()}
+    return make_once(parent / f"procedural-{source_digest(__name__)[:16]}", lambda folder: write_set(folder, counts))
 
 
 def write_set(folder: Path, counts: Mapping[str, int]) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import KMeans
 
+from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
 
@@ -30,7 +31,7 @@ class KMeansConfig(PluginConfig):
     )
 
 
-class KMeansAssociator(Plugin):
+class KMeansAssociator(Plugin[KMeansConfig], Associator):
     """K-means on region centres (Sec. Method A).
 
     The paper does not say how K is found. One frame never shows an object twice, so K is at least the largest number
@@ -43,8 +44,6 @@ class KMeansAssociator(Plugin):
 
     stage = "associator"
     name = "kmeans"
-    Config = KMeansConfig
-    config: KMeansConfig
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""

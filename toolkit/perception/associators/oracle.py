@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.perception.regions import true_owner
+from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin
 from toolkit.types import Frame, Region
 
 
-class OracleAssociator(Plugin):
+class OracleAssociator(Plugin, Associator):
     """Gives every region the true object its mask covers most of; works with any segmenter."""
 
     stage = "associator"

@@ -12,6 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
 
@@ -26,7 +27,7 @@ class OverlapConfig(PluginConfig):
     share: float = Field(0.3, gt=0, le=1, description="Part of the smaller region that must lie on the larger one.")
 
 
-class OverlapAssociator(Plugin):
+class OverlapAssociator(Plugin[OverlapConfig], Associator):
     """Regions of different frames are one object where their clouds overlap; the number of objects is what comes out.
 
     Where the segmenter follows objects from frame to frame, its word is taken. Else two regions are joined when a part
@@ -35,8 +36,6 @@ class OverlapAssociator(Plugin):
 
     stage = "associator"
     name = "overlap"
-    Config = OverlapConfig
-    config: OverlapConfig
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""

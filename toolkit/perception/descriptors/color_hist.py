@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Image, Mask
 
@@ -24,14 +25,15 @@ class ColorHistogramConfig(PluginConfig):
     )
 
 
-class ColorHistogram(Plugin):
+class ColorHistogram(Plugin[ColorHistogramConfig], Descriptor):
     """Joint Lab histogram over the mask, square-rooted (Hellinger kernel; Swain and Ballard, IJCV 1991)."""
 
     stage = "descriptor"
     name = "color_hist"
-    Config = ColorHistogramConfig
-    config: ColorHistogramConfig
-    crop_size = 96
+
+    @property
+    def crop_size(self) -> int:
+        return 96
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, bins^3) float32 unit rows."""

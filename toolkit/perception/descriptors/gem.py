@@ -12,6 +12,7 @@ from pydantic import Field
 from toolkit.models.efficientnet_lite import DEVIATION, MEAN, EfficientNetLite0, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import gem
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float
 from toolkit.weights.resolve import file_digest, resolve_weights
@@ -31,15 +32,16 @@ class GemConfig(PluginConfig):
     device: str = Field("cpu", description="Torch device.")
 
 
-class Gem(Plugin):
+class Gem(Plugin[GemConfig], Descriptor):
     """EfficientNet-Lite0 (ImageNet) with generalised-mean pooling (Radenovic et al., TPAMI 2019)."""
 
     stage = "descriptor"
     name = "gem"
-    Config = GemConfig
     weights = ("efficientnet-lite0",)
-    config: GemConfig
-    crop_size = 160
+
+    @property
+    def crop_size(self) -> int:
+        return 160
 
     def check_ready(self) -> None:
         """Load the backbone, so that a missing or foreign file stops the command before any work."""

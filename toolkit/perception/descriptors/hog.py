@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Image
 
@@ -19,14 +20,15 @@ class HogConfig(PluginConfig):
     orientations: int = Field(9, ge=2, le=36, description="Number of bins over 180 degrees.")
 
 
-class Hog(Plugin):
+class Hog(Plugin[HogConfig], Descriptor):
     """Histograms of oriented gradients on the masked crop (Dalal and Triggs, CVPR 2005), blocks of 2 x 2 cells."""
 
     stage = "descriptor"
     name = "hog"
-    Config = HogConfig
-    config: HogConfig
-    crop_size = 64
+
+    @property
+    def crop_size(self) -> int:
+        return 64
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, (cells - 1)^2 * 4 * orientations) float32 unit rows."""

@@ -13,6 +13,7 @@ from pydantic import Field
 from toolkit.models.efficientnet_lite import DEVIATION, MEAN, load_efficientnet
 from toolkit.models.images import color_tensor
 from toolkit.models.mixvpr import IMAGENET_DEVIATION, IMAGENET_MEAN, MixVPRNet, mixvpr_lite, mixvpr_resnet50
+from toolkit.perception.stages import Descriptor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float
 from toolkit.weights.load import fill, read_tensors
@@ -38,14 +39,12 @@ class MixvprConfig(PluginConfig):
     device: str = Field("cpu", description="Torch device.")
 
 
-class Mixvpr(Plugin):
+class Mixvpr(Plugin[MixvprConfig], Descriptor):
     """MixVPR (Ali-bey et al., WACV 2023) over EfficientNet-Lite0 or ResNet50."""
 
     stage = "descriptor"
     name = "mixvpr"
-    Config = MixvprConfig
     weights = ("mixvpr-tabletop", "efficientnet-lite0", "mixvpr-resnet50")
-    config: MixvprConfig
 
     @property
     def crop_size(self) -> int:

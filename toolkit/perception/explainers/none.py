@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from toolkit.perception.explanation import ExplainTask, Explanation
-from toolkit.registry import Plugin
+from toolkit.perception.stages import Explainer
+from toolkit.registry import Plugin, PluginConfig
 
 
-class Unexplained(Plugin):
+class Unexplained(Plugin[PluginConfig], Explainer):
     """Explains nothing: goal objects are what the goal segmenter says, and retrieval says which instance each is."""
 
     stage = "explainer"

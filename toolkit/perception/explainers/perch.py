@@ -13,6 +13,7 @@ from toolkit.perception.explainers.searching.segments import object_masks, unexp
 from toolkit.perception.explainers.searching.together import joined, moved_together, owners
 from toolkit.perception.explainers.searching.trust import judge, trust
 from toolkit.perception.explanation import ExplainTask, Explanation, Placement
+from toolkit.perception.stages import Explainer
 from toolkit.perception.tabletop.appearance import render_table, scan_table
 from toolkit.perception.tabletop.difference import difference
 from toolkit.registry import Plugin, PluginConfig
@@ -32,7 +33,7 @@ class PerchConfig(PluginConfig):
     min_pixels: int = Field(60, ge=1, description="Objects of which the goal shows fewer pixels are left out.")
 
 
-class Perch(Plugin):
+class Perch(Plugin[PerchConfig], Explainer):
     """Perception via search (Narayanan and Likhachev, ICRA 2016): which objects, placed where, would look like this?
 
     Every instance is rendered where it stands now and all over the table; the hypotheses that together explain the
@@ -42,8 +43,6 @@ class Perch(Plugin):
 
     stage = "explainer"
     name = "perch"
-    Config = PerchConfig
-    config: PerchConfig
 
     def explain(self, task: ExplainTask) -> Explanation:
         """Explain a goal image; raises ToolkitError where no current frame's depth shows a table."""

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
+from toolkit.perception.stages import Index
 from toolkit.registry import Plugin
 from toolkit.types import Float
 
 
-class FaissIndex(Plugin):
+class FaissIndex(Plugin, Index):
     """FAISS IndexFlatIP (Johnson et al., Billion-scale similarity search with GPUs, 2019): exact."""
 
     stage = "index"

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
+from toolkit.perception.stages import Index
 from toolkit.registry import Plugin
 from toolkit.types import Float
 
 
-class NumpyIndex(Plugin):
+class NumpyIndex(Plugin, Index):
     """Exact inner-product search by one matrix product and a stable sort; equal scores come in row order."""
 
     stage = "index"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from kornia.feature import ALIKED
@@ -20,13 +20,12 @@ class AlikedConfig(LightGlueConfig):
     )
 
 
-class AlikedLightGlue(LightGlueMatcher):
+class AlikedLightGlue(LightGlueMatcher[AlikedConfig]):
     """ALIKED (Zhao et al., TIM 2023) with LightGlue."""
 
     name = "aliked_lightglue"
-    Config = AlikedConfig
     weights = ("aliked-n16", "aliked-n16rot", "aliked-lightglue")
-    glue = {"input_dim": 128}  # noqa: RUF012
+    glue: ClassVar = {"input_dim": 128}
     derived = ("dkd.hw_grid",)
 
     def checkpoints(self) -> tuple[str, str]:
@@ -45,5 +44,4 @@ class AlikedLightGlue(LightGlueMatcher):
 
     @property
     def _model(self) -> str:
-        assert isinstance(self.config, AlikedConfig)
         return f"aliked-{self.config.model}"

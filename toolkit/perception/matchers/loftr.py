@@ -59,18 +59,15 @@ class LoftrFeatures:
     mask: Mask
 
 
-class LoftrMatcher(TurningMatcher):
+class LoftrMatcher(TurningMatcher[LoftrConfig]):
     """LoFTR (Sun et al., CVPR 2021), kornia's implementation, the paper's matcher."""
 
     stage = "matcher"
     name = "loftr"
-    Config = LoftrConfig
     weights = ("loftr-tabletop", "loftr-outdoor", "loftr-indoor_new")
-    config: LoftrConfig
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     def check_ready(self) -> None:

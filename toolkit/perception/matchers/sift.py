@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.stages import Matcher
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Matches
 
@@ -40,17 +41,14 @@ class SiftFeatures:
     descriptors: Float
 
 
-class SiftMatcher(Plugin):
+class SiftMatcher(Plugin[SiftConfig], Matcher):
     """SIFT (Lowe, IJCV 2004) with RootSIFT (Arandjelovic and Zisserman, CVPR 2012), mutual and ratio tests."""
 
     stage = "matcher"
     name = "sift"
-    Config = SiftConfig
-    config: SiftConfig
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     def extract(self, crops: Sequence[Crop]) -> list[SiftFeatures]:

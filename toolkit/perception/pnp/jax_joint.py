@@ -14,7 +14,8 @@ from pydantic import Field
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.perception.pnp.jax_ransac import JaxRansac
 from toolkit.perception.pnp.solving.base import PnPConfig, RobustPnP
-from toolkit.perception.pnp.solving.joint import Evidence, Motion, covariance, polish, search_planar
+from toolkit.perception.pnp.solving.damped import Pose
+from toolkit.perception.pnp.solving.joint import Evidence, covariance, polish, search_planar
 from toolkit.perception.pnp.solving.padding import pad_rows
 from toolkit.types import Correspondences, Float
 
@@ -26,11 +27,12 @@ class JointConfig(PnPConfig):
     """Settings of `jax_joint`."""
 
     prior: Literal["planar", "none"] = Field(
-        "planar", description="Objects turn about the vertical and slide on the table; or move freely."
+        "planar",
+        description="`planar`: objects turn about the vertical and slide on the table; `none`: they move freely.",
     )
 
 
-class JaxJoint(RobustPnP):
+class JaxJoint(RobustPnP[JointConfig]):
     """Weighted M-estimation over all candidates' matches by Levenberg-Marquardt, with covariance; see `joint`.
 
     Matches count by their score. Under the planar prior two of them make a hypothesis; without it the search is that of
@@ -38,11 +40,8 @@ class JaxJoint(RobustPnP):
     """
 
     name = "jax_joint"
-    Config = JointConfig
-    config: JointConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
-        """See RobustPnP."""
         center = problem.points.mean(axis=0)
         with _float64_on_cpu():
             evidence = self._evidence(problem, center)
@@ -58,7 +57,6 @@ class JaxJoint(RobustPnP):
         return invert(problem.camera.T_world_camera) @ make_transform(R, t - R @ center)
 
     def covariance(self, problem: Correspondences, T_camera_world: Float) -> Float:
-        """See RobustPnP."""
         center = problem.points.mean(axis=0)
         with _float64_on_cpu():
             motion = _motion(problem, T_camera_world, center)
@@ -82,9 +80,9 @@ def _float64_on_cpu() -> ExitStack:
     return stack
 
 
-def _motion(problem: Correspondences, T_camera_world: Float, center: Float) -> Motion:
+def _motion(problem: Correspondences, T_camera_world: Float, center: Float) -> Pose:
     T = problem.camera.T_world_camera @ T_camera_world
-    return Motion(jnp.asarray(T[:3, :3]), jnp.asarray(transform_points(T, center)))
+    return Pose(jnp.asarray(T[:3, :3]), jnp.asarray(transform_points(T, center)))
 
 
 def _draw_pairs(weights: Float, seed: int) -> NDArray[np.int32]:

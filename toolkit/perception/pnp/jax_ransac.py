@@ -31,7 +31,6 @@ class JaxRansac(RobustPnP):
     name = "jax_ransac"
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
-        """See RobustPnP."""
         rng = np.random.default_rng(seed)
         centre = problem.points.mean(axis=0)
         scale = np.sqrt(((problem.points - centre) ** 2).sum(axis=1).mean())

@@ -16,7 +16,6 @@ class PoseLib(RobustPnP):
     name = "poselib"
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
-        """See RobustPnP."""
         K, config = problem.K, self.config
         camera = {
             "model": "PINHOLE",

@@ -6,17 +6,15 @@ import numpy as np
 
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.compare import FREE, PLANAR, Search
-from toolkit.perception.refiners.render_compare import ImageRefiner, RefinerConfig
+from toolkit.perception.refiners.render_compare import ImageRefiner
 
 
 class Photometric(ImageRefiner):
     """Gauss-Newton from PnP's motion on locally normalised intensities and silhouette."""
 
     name = "photometric"
-    Config = RefinerConfig
 
     def search(self, cloud: Cloud) -> Search:
-        """See ImageRefiner."""
         c = self.config
         free = PLANAR if c.prior == "planar" else FREE
         return Search(np.zeros((0, 3, 3)), free, c.prior == "resting", 1, c.patches, c.iterations)

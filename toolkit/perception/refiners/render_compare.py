@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
 from toolkit.perception.fusion import Models, RefineTask, Start
 from toolkit.perception.lighting import estimate_light
@@ -17,6 +19,7 @@ from toolkit.perception.refiners.comparing.compare import FREE, PLANAR, Search, 
 from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
 from toolkit.perception.refiners.comparing.rotations import resting_rotations, yaw_rotations
 from toolkit.perception.refiners.comparing.verdict import Verdict, judge
+from toolkit.perception.stages import Refiner
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Abstention, Failure, Float, Refined
 
@@ -66,26 +69,28 @@ class _Scene:
     clouds: dict[int, tuple[Cloud, Search]] = field(default_factory=dict[int, tuple[Cloud, Search]])
 
 
-class ImageRefiner(Plugin):
+RefinerConfigT = TypeVar("RefinerConfigT", bound=RefinerConfig, default=RefinerConfig, covariant=True)
+
+
+class ImageRefiner(Plugin[RefinerConfigT], Refiner):
     """Base of the refiners: fused model against goal image. A subclass says which hypotheses there are."""
 
     stage = "refiner"
-    config: RefinerConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: RefinerConfigT | None = None) -> None:
         super().__init__(config)
         self._scenes: WeakKeyDictionary[Models, _Scene] = WeakKeyDictionary()
 
+    @abstractmethod
     def search(self, cloud: Cloud) -> Search:
         """How hypotheses for an object are made."""
-        raise NotImplementedError
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
         """Motions of other routes that compete."""
         return task.starts
 
     def refine(self, task: RefineTask) -> Refined | Failure:
-        """Return the hypothesis that agrees best with the goal image; see Refiner."""
+        """Return the hypothesis that agrees best with the goal image, or why none is believed."""
         seen = int(task.segment.mask.sum())
         if seen < self.config.min_pixels:
             return Abstention(
@@ -104,7 +109,6 @@ class ImageRefiner(Plugin):
         return self._answer(judge(found, cloud.model, starts, self.config.same_score), cloud.center, search.free)
 
     def verify(self, task: RefineTask) -> float | None:
-        """See Refiner."""
         prepared = self._prepared(task)
         if isinstance(prepared, Failure):
             return None
@@ -144,15 +148,12 @@ def _covariance(information: Float, free: Float) -> Float:
     return covariance
 
 
-class RenderCompare(ImageRefiner):
+class RenderCompare(ImageRefiner[RenderCompareConfig]):
     """Renders the fused model in every yaw (or rotation), refines the best, and verifies them with PnP's answer."""
 
     name = "render_compare"
-    Config = RenderCompareConfig
-    config: RenderCompareConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def search(self, cloud: Cloud) -> Search:
-        """See ImageRefiner."""
         c = self.config
         if c.prior == "planar":
             return Search(yaw_rotations(c.yaws), PLANAR, False, c.kept, c.patches, c.iterations)
@@ -160,5 +161,4 @@ class RenderCompare(ImageRefiner):
         return Search(rotations, FREE, c.prior == "resting", c.kept, c.patches, c.iterations)
 
     def starts(self, task: RefineTask) -> tuple[Start, ...]:
-        """See ImageRefiner."""
         return task.starts[: self.config.kept - 1] if self.config.use_starts else ()

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from toolkit.perception.registration.tracking.adjust import adjust
 from toolkit.perception.registration.tracking.tracks import Tabletop, find_tabletop, follow
+from toolkit.perception.stages import Registration
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame
 
@@ -31,25 +32,24 @@ class TableConfig(PluginConfig):
         return np.repeat([np.radians(self.rotation_deg), self.translation_mm / 1e3], 3)
 
 
-class TableRegistration(Plugin):
+class TableRegistration(Plugin[TableConfig], Registration):
     """Follows points of the bare table between all images and adjusts the poses until they lie at one place.
 
     An arm's poses are off by millimetres. Current frames that disagree blur the fused models, and a goal camera that is
     off shifts every motion. The table is a plane that depth finds, it is the same in all images, and it does not move
     with the objects. Without texture on it nothing is followed, and poses stay as stated.
+
+    Both methods raise ToolkitError where no frame's depth shows a table.
     """
 
     stage = "registration"
     name = "table"
-    Config = TableConfig
-    config: TableConfig
 
-    def __init__(self, config: PluginConfig | None = None) -> None:
+    def __init__(self, config: TableConfig | None = None) -> None:
         super().__init__(config)
         self._last: tuple[list[Frame], Tabletop] | None = None
 
     def register(self, frames: Sequence[Frame]) -> list[Frame]:
-        """See Registration; raises ToolkitError where no frame's depth shows a table."""
         tabletop = find_tabletop(frames)
         views = tabletop.top_views(frames)
         tracks = follow(tabletop, views, list(combinations(range(len(frames)), 2)))
@@ -60,7 +60,6 @@ class TableRegistration(Plugin):
         return registered
 
     def locate(self, goal: Frame, frames: Sequence[Frame]) -> Frame:
-        """See Registration; raises ToolkitError where no frame's depth shows a table."""
         tabletop = self._tabletop(frames)
         views = [*tabletop.top_views(frames), tabletop.top_view(goal, None)]
         n = len(frames)

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from toolkit.perception.retrieval.candidates.distance import geodesic_distance
 from toolkit.perception.retrieval.candidates.traversal import PrunedTraversal
+from toolkit.perception.stages import Retriever
 from toolkit.registry import Plugin
 from toolkit.types import Float
 
 
-class BruteForce(Plugin):
+class BruteForce(Plugin, Retriever):
     """All regions of all instances in database order; similarity and rejections are ignored (Sec. Method A)."""
 
     stage = "retriever"

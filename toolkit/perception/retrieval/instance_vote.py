@@ -12,6 +12,7 @@ from pydantic import Field
 
 from toolkit.perception.retrieval.candidates.distance import geodesic_distance, paper_distance
 from toolkit.perception.retrieval.candidates.traversal import PrunedTraversal
+from toolkit.perception.stages import Retriever
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float
 
@@ -39,7 +40,7 @@ class InstanceVoteConfig(PluginConfig):
     )
 
 
-class InstanceVote(Plugin):
+class InstanceVote(Plugin[InstanceVoteConfig], Retriever):
     """Instance voting and angular pruning (Sec. Method A, retrieval phase).
 
     All regions of the winning instance are candidates, in the order of their similarity. A tie goes to the instance
@@ -48,8 +49,6 @@ class InstanceVote(Plugin):
 
     stage = "retriever"
     name = "instance_vote"
-    Config = InstanceVoteConfig
-    config: InstanceVoteConfig
 
     def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> PrunedTraversal:
         """Vote and return the traversal of the winners' regions."""

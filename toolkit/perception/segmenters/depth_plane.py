@@ -10,6 +10,7 @@ from pydantic import Field
 
 from toolkit.errors import ToolkitError
 from toolkit.perception.segmenters.tabletop.clusters import cluster_above_plane, is_noisy
+from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.labels import keep
 from toolkit.perception.tabletop.plane import fit_near
 from toolkit.perception.tabletop.refine import snap_to_colour
@@ -24,12 +25,22 @@ _NEAR_M = 0.012
 class DepthPlaneConfig(PluginConfig):
     """Settings of the `depth_plane` segmenter."""
 
-    min_height_mm: float = Field(1.5, gt=0, description="What is lower than this is table; more where depth is noisy.")
-    cell_mm: float = Field(5.0, gt=0, description="Cells of the plan; parts two cells apart are two objects.")
-    min_pixels: int = Field(60, ge=1, description="Smaller clusters are dropped.")
+    min_height_mm: float = Field(
+        1.5,
+        gt=0,
+        description="What is lower than this above the table counts as table; where depth is noisy, the limit is "
+        "higher.",
+    )
+    cell_mm: float = Field(
+        5.0,
+        gt=0,
+        description="Side of the cells in which the scene is seen from above; parts that are two cells apart are two "
+        "objects.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Clusters with fewer pixels are dropped.")
 
 
-class DepthPlaneSegmenter(Plugin):
+class DepthPlaneSegmenter(Plugin[DepthPlaneConfig], Segmenter):
     """Table plane by RANSAC; what stands above it, clustered in plan; borders moved to where the colour changes.
 
     The threshold above the table follows the plane's own noise, so that a fork is found in clean depth and no bump in
@@ -38,8 +49,6 @@ class DepthPlaneSegmenter(Plugin):
 
     stage = "segmenter"
     name = "depth_plane"
-    Config = DepthPlaneConfig
-    config: DepthPlaneConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the clusters above the table; raises ToolkitError without depth or where no table is in it."""

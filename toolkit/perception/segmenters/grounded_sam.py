@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.perception.segmenters.networks.pretrained import import_transformers, load_pretrained
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Mask, Segment
 from toolkit.weights.resolve import file_digest, resolve_folder
@@ -31,7 +32,7 @@ class GroundedSamConfig(PluginConfig):
     device: str = Field("cpu", description="Torch device.")
 
 
-class GroundedSamSegmenter(Plugin):
+class GroundedSamSegmenter(Plugin[GroundedSamConfig], Segmenter):
     """Grounding DINO (Liu et al., ECCV 2024) and SAM (Kirillov et al., ICCV 2023), the paper's segmenter.
 
     Both are transformers' (`pip install rearrange-toolkit[grounded-sam]`). Depth is not used. Where masks overlap, the
@@ -40,9 +41,7 @@ class GroundedSamSegmenter(Plugin):
 
     stage = "segmenter"
     name = "grounded_sam"
-    Config = GroundedSamConfig
     weights = ("grounding-dino-tiny", "sam-vit-base")
-    config: GroundedSamConfig
 
     def check_ready(self) -> None:
         """Load both networks, so that a missing package or checkpoint stops the command before any work."""

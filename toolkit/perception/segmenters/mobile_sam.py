@@ -14,6 +14,7 @@ from toolkit.perception.segmenters.networks.sam import Sam
 from toolkit.perception.segmenters.table_appearance import blob_labels
 from toolkit.perception.segmenters.tabletop.looks import object_looks
 from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.appearance import scan_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
@@ -23,14 +24,18 @@ from toolkit.weights.resolve import file_digest, resolve_weights
 class MobileSamConfig(PluginConfig):
     """Settings of the `mobile_sam` segmenter."""
 
-    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
-    grid_px: int = Field(24, ge=4, description="Pixels between the points the network is asked at.")
+    threshold: float = Field(
+        8.0,
+        gt=0,
+        description="What deviates from the look of the table by more standard deviations than this is an object.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
+    grid_px: int = Field(24, ge=4, description="Distance between the points at which the network is asked, in pixels.")
     encoder: Path | None = Field(None, description="An ONNX image encoder of your own, instead of MobileSAM's.")
     decoder: Path | None = Field(None, description="An ONNX mask decoder of your own, instead of MobileSAM's.")
 
 
-class MobileSamSegmenter(Plugin):
+class MobileSamSegmenter(Plugin[MobileSamConfig], Segmenter):
     """MobileSAM (Zhang et al., 2023) on onnxruntime, asked inside what stands on the table.
 
     In an RGB-D frame that is what `depth_plane` finds, in a colour image what `table_appearance` finds. Where these are
@@ -41,9 +46,7 @@ class MobileSamSegmenter(Plugin):
 
     stage = "segmenter"
     name = "mobile_sam"
-    Config = MobileSamConfig
     weights = ("mobile_sam-encoder", "mobile_sam-decoder")
-    config: MobileSamConfig
 
     def check_ready(self) -> None:
         """Open both networks, so that a missing or foreign file stops the command before any work."""

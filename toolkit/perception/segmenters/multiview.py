@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
+from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.pieces import objects_on_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
@@ -20,7 +21,7 @@ class MultiviewConfig(PluginConfig):
     min_pixels: int = Field(60, ge=1, description="Objects of fewer pixels, all frames together, are dropped.")
 
 
-class MultiviewSegmenter(Plugin):
+class MultiviewSegmenter(Plugin[MultiviewConfig], Segmenter):
     """What stands on the table, joined over all posed RGB-D frames, parted at creases, cut out of every frame.
 
     Objects are mostly convex, so they part where the surface is concave (Stein et al., CVPR 2014) or ends; colours join
@@ -30,8 +31,6 @@ class MultiviewSegmenter(Plugin):
 
     stage = "segmenter"
     name = "multiview"
-    Config = MultiviewConfig
-    config: MultiviewConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the objects in one of the current frames.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
+from toolkit.perception.stages import Segmenter
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 
@@ -17,13 +18,11 @@ class OracleSegmenterConfig(PluginConfig):
     min_pixels: int = Field(1, ge=1, description="Objects with fewer visible pixels are left out.")
 
 
-class OracleSegmenter(Plugin):
+class OracleSegmenter(Plugin[OracleSegmenterConfig], Segmenter):
     """The true visible masks (mask_visib), in order of object id: what a perfect segmenter would return."""
 
     stage = "segmenter"
     name = "oracle"
-    Config = OracleSegmenterConfig
-    config: OracleSegmenterConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return the frame's true masks; raises ToolkitError where the truth is not known."""

@@ -11,6 +11,7 @@ from pydantic import Field
 from toolkit.perception.segmenters.tabletop.blobs import find_blobs
 from toolkit.perception.segmenters.tabletop.looks import object_looks
 from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.appearance import TableScan, render_table, scan_table
 from toolkit.perception.tabletop.difference import difference
 from toolkit.registry import Plugin, PluginConfig
@@ -20,12 +21,19 @@ from toolkit.types import Frame, Segment
 class TableAppearanceConfig(PluginConfig):
     """Settings of the `table_appearance` segmenter."""
 
-    threshold: float = Field(8.0, gt=0, description="How many deviations from the table's look make an object.")
-    min_pixels: int = Field(60, ge=1, description="Smaller blobs are dropped.")
-    split: bool = Field(True, description="Split touching objects while there are fewer than the current frames show.")
+    threshold: float = Field(
+        8.0,
+        gt=0,
+        description="What deviates from the look of the table by more standard deviations than this is an object.",
+    )
+    min_pixels: int = Field(60, ge=1, description="Blobs with fewer pixels are dropped.")
+    split: bool = Field(
+        True,
+        description="Whether touching objects are split while there are fewer of them than the current frames show.",
+    )
 
 
-class TableAppearanceSegmenter(Plugin):
+class TableAppearanceSegmenter(Plugin[TableAppearanceConfig], Segmenter):
     """What differs from the table's look, learnt from the current frames, where depth says what is table (RGB only).
 
     The empty table is drawn in the image's camera, compared after a photometric fit, and the borders of what differs
@@ -36,8 +44,6 @@ class TableAppearanceSegmenter(Plugin):
 
     stage = "segmenter"
     name = "table_appearance"
-    Config = TableAppearanceConfig
-    config: TableAppearanceConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return what stands on the table; raises ToolkitError where no current frame's depth shows a table."""

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.perception.robust import deviation
 from toolkit.perception.tabletop.appearance import TableView, fill
 from toolkit.perception.tabletop.light import relit
 from toolkit.types import Float, Image, Mask
@@ -57,7 +58,9 @@ def difference(rgb: Image, view: TableView) -> Difference:
     table = _log(view.rgb)
     light = _light(image - table, view.seen)
     table += light
-    sigma = _deviation((image - table)[view.seen]) if view.seen.any() else np.full(3, _LEAST_SIGMA, np.float32)
+    sigma = np.full(3, _LEAST_SIGMA, np.float32)
+    if view.seen.any():
+        sigma = np.maximum(deviation((image - table)[view.seen], axis=0), sigma)
     kernel = np.ones((3, 3), np.uint8)
     low, high = _float(cv2.erode(table, kernel)), _float(cv2.dilate(table, kernel))
     near_unseen = cv2.dilate((~view.seen).astype(np.uint8), kernel) > 0
@@ -110,13 +113,8 @@ def _light(residual: Float, where: Mask) -> Float:
     for _ in range(5):
         solution = np.linalg.lstsq(A[inliers], b[inliers], rcond=None)[0]
         off = np.abs(b - A @ solution).max(axis=1)
-        inliers = off <= max(3 * 1.4826 * float(np.median(off)), 0.01)
+        inliers = off <= max(3 * float(deviation(off)), 0.01)
     return (terms @ solution).astype(np.float32)
-
-
-def _deviation(residual: Float) -> Float:
-    """(3,) robust deviation of (N, 3) residuals."""
-    return np.maximum(1.4826 * np.median(np.abs(residual), axis=0), _LEAST_SIGMA).astype(np.float32)
 
 
 def _fill_range(low: Float, high: Float, where: Mask, samples: Float) -> None:
@@ -127,5 +125,5 @@ def _fill_range(low: Float, high: Float, where: Mask, samples: Float) -> None:
     some = samples[:: max(len(samples) // 5000, 1)]
     # Objects are among the samples, so the spread must not listen to outliers.
     middle = np.median(some, axis=0)
-    spread = _SPREAD * 1.4826 * np.median(np.abs(some - middle), axis=0) + _LEAST_SPREAD
+    spread = _SPREAD * deviation(some - middle, axis=0) + _LEAST_SPREAD
     low[where], high[where] = middle - spread, middle + spread

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from toolkit.geometry import invert
+from toolkit.perception.robust import deviation
 from toolkit.types import Camera, Float, Frame, Mask
 
 _SAMPLES = 30_000
@@ -97,7 +97,7 @@ def fit_near(frame: Frame, T_world_table: Float, reach: float) -> Plane | None:
             return None
         coefficients = np.linalg.lstsq(rays[inliers], 1 / depth[inliers], rcond=None)[0]
         residual = 1 / depth[inliers] - rays[inliers] @ coefficients
-        plane = Plane(coefficients, float(median_abs_deviation(residual, scale="normal")))
+        plane = Plane(coefficients, float(deviation(residual)))
         spread = 3 * plane.noise * plane.camera_height * float(np.median(depth[inliers]))
         reach = float(np.clip(spread, _LEAST_REACH_M, reach))
     return plane

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from toolkit.geometry import invert
+from toolkit.perception.robust import deviation
 from toolkit.perception.tabletop.plane import Plane, pixel_rays
 from toolkit.perception.tabletop.table import Table
 from toolkit.types import Float, Frame, Mask
@@ -70,12 +71,12 @@ def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relie
     places[..., 2] = raw
     solid = measured & surfaces(depth, plane.noise)
     inside = measured & table.holds(places[..., :2])
-    deviation = plane.noise * plane.camera_height * depth
+    spread = plane.noise * plane.camera_height * depth
     # Far below the table is background, whose size must not bleed into what stands before it.
     height = _smoothed(raw.clip(-0.05, None), solid)
-    flat = solid & inside & (np.abs(raw) < 3 * deviation)
-    left = float(np.median(np.abs(height[flat]) / deviation[flat])) * 1.4826 if flat.any() else 1.0
-    low, high = np.maximum(min_height, _LOW * left * deviation), np.maximum(min_height, _HIGH * left * deviation)
+    flat = solid & inside & (np.abs(raw) < 3 * spread)
+    left = float(deviation(height[flat] / spread[flat])) if flat.any() else 1.0
+    low, high = np.maximum(min_height, _LOW * left * spread), np.maximum(min_height, _HIGH * left * spread)
     above = solid & (height > low) & (height < _TALLEST_M)
     things = above & inside
     flat = solid & (np.abs(height) < low)

@@ -15,6 +15,7 @@ from toolkit.data.tabletop import TabletopConfig, TabletopScene, draw_scene
 from toolkit.geometry import is_rigid, make_transform, transform_points
 from toolkit.paths import cache_root
 from toolkit.plugin_kit.conformance.kit import Check, Subject, require, require_same_twice
+from toolkit.rearrangement.episode import begun
 from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.types import Float, Frame
 
@@ -104,11 +105,8 @@ def _task() -> TabletopScene:
 @contextmanager
 def _begun(subject: Subject) -> Generator[tuple[Any, Any]]:
     executor = subject.make()
-    goal = executor.begin(_task())
-    try:
+    with begun(executor, _task()) as goal:
         yield executor, goal
-    finally:
-        executor.close()
 
 
 def _to_the_corner(state: Mapping[int, Float] | None) -> PickPlace:

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from toolkit.geometry import is_rigid
 from toolkit.plugin_kit.conformance.kit import Check, Subject, require, require_same_twice
-from toolkit.rearrangement.moves import Grasp, PickPlace
-from toolkit.types import Failure, Float
+from toolkit.rearrangement.moves import Grasp, GraspRequest
+from toolkit.sim.robots import ROBOTS
+from toolkit.types import Failure, Float, Gripper
 
 _NOTHING = np.zeros((0, 3))
 _BOX = (0.04, 0.12, 0.08)
+_GRIPPER = ROBOTS["gen3"].gripper
+_APPROACH_M = 0.08
 
 
 def grasps_hold_a_box(subject: Subject) -> str:
-    """A 4 x 12 x 8 cm box: rigid poses above the table, openings above its width, scores in 0..1, best first."""
-    found = _grasp(subject, _box(_BOX))
+    """A 4 x 12 x 8 cm box, for the gripper of every robot: rigid poses above the table, scores in 0..1, best first."""
+    return ", ".join(f"{name}: {_hold_a_box(subject, robot.gripper)} grasps" for name, robot in ROBOTS.items())
+
+
+def _hold_a_box(subject: Subject, gripper: Gripper) -> int:
+    found = _grasp(subject, _box(_BOX), gripper=gripper)
     require(not isinstance(found, Failure), f"no grasp of an easy box: {found}")
     require(isinstance(found, list) and found, "grasp() must give a list that is not empty, or a Failure")
     for grasp in found:
@@ -28,10 +36,14 @@ def grasps_hold_a_box(subject: Subject) -> str:
         inside = (np.abs(T[:2, 3]) < np.array(_BOX[:2]) / 2 + 0.02).all() and T[2, 3] < _BOX[2] + 0.02
         require(inside, "the fingertips are not at the object")
         require(grasp.opening >= _BOX[0] - 0.005, f"fingers {100 * grasp.opening:.1f} cm apart do not span a 4 cm box")
+        opens = f"{100 * grasp.opening:.1f} cm is wider than the gripper opens, {100 * gripper.stroke_m:.1f} cm"
+        require(grasp.opening <= gripper.stroke_m, f"{opens}: it is in request.gripper")
+        closed = grasp.opening - 2 * grasp.spare
+        require(abs(closed - _BOX[0]) < 0.015, f"with that spare the fingers are {100 * closed:.1f} cm apart on 4 cm")
         require(0 <= grasp.score <= 1, f"a score must be in 0..1, got {grasp.score}")
     scores = [grasp.score for grasp in found]
     require(scores == sorted(scores, reverse=True), "grasps must come best first")
-    return f"{len(found)} grasps"
+    return len(found)
 
 
 def no_grasp_is_a_failure(subject: Subject) -> None:
@@ -49,6 +61,12 @@ def no_grasp_is_a_failure(subject: Subject) -> None:
             )
 
 
+def what_the_gripper_does_not_span_is_a_failure(subject: Subject) -> None:
+    """The same box for a gripper that opens 3 cm: a Failure."""
+    found = _grasp(subject, _box(_BOX), gripper=replace(_GRIPPER, stroke_m=0.03))
+    require(isinstance(found, Failure), "a box of 4 cm is to be held by a gripper that opens 3 cm: see request.gripper")
+
+
 def neighbours_do_not_stand_between_the_fingers(subject: Subject) -> None:
     """A wall along one side: no grasp has its fingertips in it."""
     wall = _box((0.02, 0.3, 0.2)) + np.array([0.05, 0.0, 0.0])
@@ -64,8 +82,11 @@ def the_same_seed_gives_the_same_bytes(subject: Subject) -> None:
     require_same_twice(lambda: _grasp(subject, _box(_BOX)), "the list of grasps")
 
 
-def _grasp(subject: Subject, points: Float, others: Float = _NOTHING) -> Any:
-    return subject.make().grasp(PickPlace(points, np.eye(4), others), 5)
+def _grasp(subject: Subject, points: Float, others: Float = _NOTHING, gripper: Gripper = _GRIPPER) -> Any:
+    """What the arm asks; the points can only be read."""
+    for asked in (points, others):
+        asked.flags.writeable = False
+    return subject.make().grasp(GraspRequest(points, np.eye(4), others, gripper, _APPROACH_M), 5)
 
 
 def _box(size: tuple[float, float, float]) -> Float:
@@ -82,6 +103,7 @@ def _box(size: tuple[float, float, float]) -> Float:
 CHECKS: tuple[Check, ...] = (
     grasps_hold_a_box,
     no_grasp_is_a_failure,
+    what_the_gripper_does_not_span_is_a_failure,
     neighbours_do_not_stand_between_the_fingers,
     the_same_seed_gives_the_same_bytes,
 )

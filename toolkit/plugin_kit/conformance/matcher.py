@@ -15,7 +15,7 @@ _CELL_PX = 8.0
 
 
 def matches_lie_on_both_objects(subject: Subject) -> str:
-    """One Matches a reference: (M, 2) float64 crop pixels (x, y) on both masks, (M,) scores in 0..1."""
+    """One Matches per reference: (M, 2) float64 crop pixels (x, y) on both masks, (M,) scores in 0..1."""
     given, found = _match(subject)
     require(
         isinstance(found, list) and len(found) == len(given), f"match() must give one Matches for each of {len(given)}"

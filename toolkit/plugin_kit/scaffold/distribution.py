@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from toolkit.errors import ToolkitError, suggest
+from toolkit.errors import ToolkitError
 from toolkit.files import write_text
-from toolkit.stages import REGISTRIES
+from toolkit.stages import registry_of
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -65,6 +65,7 @@ class Test{class_name}(Conforms):
 
 _ABLATED = ("registration", "segmenter", "associator", "descriptor", "index", "retriever", "matcher", "pnp", "refiner")
 _REARRANGED = ("planner", "executor")
+_BY_THE_ARM = ("grasp", "motion")
 
 
 def new_plugin(stage: str, name: str, out: Path | None = None) -> Path:
@@ -81,11 +82,10 @@ def new_plugin(stage: str, name: str, out: Path | None = None) -> Path:
     Raises:
         ToolkitError: an unknown stage, a name that cannot be used or is taken, or a folder that holds something.
     """
-    if stage not in REGISTRIES:
-        raise ToolkitError(f"unknown stage '{stage}'{suggest(stage, list(REGISTRIES))}")
+    registry = registry_of(stage)
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ToolkitError(f"'{name}' cannot be a plugin's name: use a-z, 0-9 and _, a letter first")
-    if name in REGISTRIES[stage].names():
+    if name in registry.names():
         raise ToolkitError(f"there is a {stage} '{name}' already; choose another name")
     folder = out or Path(f"toolkit-{name.replace('_', '-')}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -94,7 +94,7 @@ def new_plugin(stage: str, name: str, out: Path | None = None) -> Path:
         "name": name,
         "dashed": name.replace("_", "-"),
         "stage": stage,
-        "group": REGISTRIES[stage].group,
+        "group": registry.group,
         "module": f"toolkit_{name}",
         "class_name": "".join(part.capitalize() for part in name.split("_")),
         "use": _use(stage, name),
@@ -115,4 +115,7 @@ def _module(stage: str, name: str, class_name: str) -> str:
 def _use(stage: str, name: str) -> str:
     if stage in _ABLATED:
         return f"\nMeasure it beside another one:\n\n    toolkit ablate --{stage} {name} --{stage} OTHER\n"
-    return f"\nUse it:\n\n    toolkit rearrange --{stage} {name}\n" if stage in _REARRANGED else ""
+    if stage in _BY_THE_ARM:
+        return f"\nUse it:\n\n    toolkit rearrange --executor arm --set rearrange.executor.{stage}.name={name}\n"
+    assert stage in _REARRANGED
+    return f"\nUse it:\n\n    toolkit rearrange --{stage} {name}\n"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing
 
 import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation, Slerp
+from typing_extensions import TypeVar
 
 from toolkit.data.cameras import home_camera
 from toolkit.data.layout import RestingObject, resting_poses
@@ -16,6 +18,7 @@ from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.resting import settle
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
+from toolkit.rearrangement.stages import Executor
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.solids import Solids
@@ -34,21 +37,26 @@ class KinematicConfig(PluginConfig):
     gripper_width_m: float | None = Field(
         None, gt=0, description="Wider objects cannot be picked (0.085: Robotiq 2F-85); any width when left out."
     )
-    speed_m_s: float = Field(0.25, gt=0, description="Speed of the hand, from which motion times follow.")
+    speed_m_s: float = Field(0.25, gt=0, description="Speed of the hand, from which times follow.")
     step_m: float = Field(0.01, gt=0, description="Way between two collision checks.")
     touch_m: float = Field(0.001, ge=0, description="Objects that cut into each other deeper than this collide.")
 
 
-class Kinematic(Plugin):
+KinematicConfigT = TypeVar("KinematicConfigT", bound=KinematicConfig, default=KinematicConfig, covariant=True)
+
+
+class Kinematic(Plugin[KinematicConfigT], Executor):
     """Simulator without an arm: an object is lifted, carried over the others and lowered, checked all along the way."""
 
     stage = "executor"
     name = "kinematic"
-    Config = KinematicConfig
-    config: KinematicConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     on_step: Callable[[], None] | None = None
-    """Called at every step of a motion, for films."""
+    """Called at every step of a move, for films."""
+
+    def __init__(self, config: KinematicConfigT | None = None) -> None:
+        super().__init__(config)
+        self._opened = ExitStack()
 
     def check_ready(self) -> None:
         """See Plugin: there is a simulator."""
@@ -56,21 +64,23 @@ class Kinematic(Plugin):
 
     def begin(self, task: TabletopScene) -> Frame:
         """See Executor; the task is a scene of the tabletop benchmark."""
+        self.close()
         self._table = task.table
         self._poses = list(task.current)
         self._rests: list[list[RestingObject]] = [resting_poses(asset) for asset in task.assets]
-        self._solids = Solids([asset.hulls for asset in task.assets])
-        for number, pose in enumerate(self._poses):
-            self._solids.place(number, pose)
-        self._studio = Studio(task, cache_root())
         self._home = home_camera(task.config.resolution)
-        self._goal = self._studio.goal()
+        with ExitStack() as opened:
+            self._solids = opened.enter_context(closing(Solids([asset.hulls for asset in task.assets])))
+            for number, pose in enumerate(self._poses):
+                self._solids.place(number, pose)
+            self._studio = opened.enter_context(Studio(task, cache_root()))
+            self._goal = self._studio.goal()
+            self._opened = opened.pop_all()
         return self._goal
 
     def close(self) -> None:
         """See Executor."""
-        self._solids.close()
-        self._studio.close()
+        self._opened.close()
 
     def observe(self) -> list[Frame]:
         """See Executor."""

@@ -22,7 +22,7 @@ from toolkit.types import Failure, Float, Frame, TrueObject
 _LOG = "moves.json"
 
 
-class Recorder:
+class Recorder(Executor):
     """An executor that hands everything on to another and writes down what comes back.
 
     FOLDER/000000/, FOLDER/000001/, ... are captures, one an observation; moves.json lists what was asked and what
@@ -95,13 +95,11 @@ class ReplayConfig(PluginConfig):
     tolerance_m: float = Field(0.005, gt=0, description="A move this near to the recorded one is the same.")
 
 
-class Replay(Plugin):
+class Replay(Plugin[ReplayConfig], Executor):
     """Plays a recording back: the recorded frames in order, and the recorded outcomes for the recorded moves."""
 
     stage = "executor"
     name = "replay"
-    Config = ReplayConfig
-    config: ReplayConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def check_ready(self) -> None:
         """See Plugin."""

@@ -17,7 +17,8 @@ from toolkit.rearrangement.grasps.geometry.room import (
     grasps_on,
 )
 from toolkit.rearrangement.grasps.geometry.surface import Contacts, antipodal_pairs, normals, wall_pairs
-from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.rearrangement.moves import Grasp, GraspRequest
+from toolkit.rearrangement.stages import Grasper
 from toolkit.registry import Plugin
 from toolkit.types import Failure, Float
 
@@ -29,29 +30,27 @@ class AntipodalConfig(RoomConfig):
     contacts: int = Field(300, ge=1, description="Surface points tried as a first contact.")
 
 
-class Antipodal(Plugin):
+class Antipodal(Plugin[AntipodalConfig], Grasper):
     """Opposite surface points in force closure; approaches from above first; clear of table and neighbours."""
 
     stage = "grasp"
     name = "antipodal"
-    Config = AntipodalConfig
-    config: AntipodalConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+    def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
         """See Grasper."""
         c = self.config
         seen = evenly_seen(request)
         if isinstance(seen, Failure):
             return seen
         rng = np.random.default_rng(seed)
-        center, across = seen.points.mean(axis=0), normals(seen.points)
-        pairs = antipodal_pairs(seen.points, across, c.widest_m, c.friction, c.contacts, rng)
+        center, across, widest = seen.points.mean(axis=0), normals(seen.points), c.widest_m(seen.gripper)
+        pairs = antipodal_pairs(seen.points, across, widest, c.friction, c.contacts, rng)
         found = first_with_room(self._candidates(pairs, center), seen, c)
         if not found:
             walls = wall_pairs(seen.points, across, c.contacts, rng)
             found = first_with_room(self._candidates(walls, center), seen, c)
         if not found and not len(pairs):
-            return Failure("grasp", f"no two opposite surfaces lie within {100 * c.widest_m:.1f} cm of each other")
+            return Failure("grasp", f"no two opposite surfaces lie within {100 * widest:.1f} cm of each other")
         return found or NO_ROOM
 
     def _candidates(self, pairs: Contacts, center: Float) -> Iterator[Grasp]:

@@ -21,7 +21,8 @@ from toolkit.rearrangement.grasps.geometry.room import (
     grasps_on,
 )
 from toolkit.rearrangement.grasps.geometry.surface import span
-from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.rearrangement.moves import Grasp, GraspRequest
+from toolkit.rearrangement.stages import Grasper
 from toolkit.registry import Plugin
 from toolkit.types import Failure, Float
 from toolkit.weights.load import fill, read_tensors
@@ -42,14 +43,12 @@ class ContactGraspnetConfig(RoomConfig):
     least_score: float = Field(0.2, ge=0, le=1, description="Contacts below this are not believed.")
 
 
-class ContactGraspnet(Plugin):
+class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
     """Contacts, closing lines, approaches and scores by the network; openings measured on the cloud."""
 
     stage = "grasp"
     name = "contact_graspnet"
     weights = ("contact_graspnet",)
-    Config = ContactGraspnetConfig
-    config: ContactGraspnetConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def check_ready(self) -> None:
         """Load the checkpoint, so that a missing or foreign file stops the command before any work."""
@@ -59,7 +58,7 @@ class ContactGraspnet(Plugin):
         """The checkpoint's digest by file name."""
         return {self._path.name: file_digest(self._path)}
 
-    def grasp(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
+    def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
         """See Grasper."""
         seen = evenly_seen(request)
         if isinstance(seen, Failure):
@@ -69,14 +68,14 @@ class ContactGraspnet(Plugin):
             return Failure("grasp", f"the network gives no contact on the object {self.config.least_score} or more")
         return first_with_room(candidates, seen, self.config) or NO_ROOM
 
-    def _candidates(self, seen: PickPlace, seed: int) -> Iterator[Grasp]:
+    def _candidates(self, seen: GraspRequest, seed: int) -> Iterator[Grasp]:
         center = seen.points.mean(axis=0)
         for contact, baseline, approach, score in self._contacts(seen, seed):
-            a, b = span(seen.points, contact, baseline, self.config.widest_m)
+            a, b = span(seen.points, contact, baseline, self.config.widest_m(seen.gripper))
             yield from grasps_on(a, b, approach, float(score) * balance(a, b, center), self.config)
 
     @torch.inference_mode()
-    def _contacts(self, seen: PickPlace, seed: int) -> Iterator[tuple[Float, Float, Float, float]]:
+    def _contacts(self, seen: GraspRequest, seed: int) -> Iterator[tuple[Float, Float, Float, float]]:
         """Contact on the object, line to the opposite one, approach and score."""
         c = self.config
         cloud = on_table(seen, c.around_m, c.table_z_m, np.random.default_rng(seed))
@@ -98,7 +97,7 @@ class ContactGraspnet(Plugin):
         return net
 
 
-def on_table(seen: PickPlace, reach: float, table_z: float, rng: np.random.Generator) -> Float:
+def on_table(seen: GraspRequest, reach: float, table_z: float, rng: np.random.Generator) -> Float:
     """(N, 3) the object's points, then its neighbours' and the table's within reach of its middle, in the plane.
 
     The table is not seen below what stands on it.

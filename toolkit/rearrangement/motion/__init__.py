@@ -1,1 +1,1 @@
-"""Ways for an arm from one pose to another that touch nothing."""
+"""Paths of an arm from one pose to another that touch nothing."""

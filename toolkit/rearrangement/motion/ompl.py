@@ -16,6 +16,7 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, shortcut
+from toolkit.rearrangement.stages import MotionPlanner
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure, Float
 
@@ -26,19 +27,16 @@ _SET_SEED = "_ZN4ompl3RNG7setSeedEm"
 class OmplConfig(PluginConfig):
     """Settings of `ompl`."""
 
-    time_s: float = Field(5.0, gt=0, description="Longest search, of processor time; what takes longer has failed.")
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
     step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
     shortcuts: int = Field(60, ge=0, description="Shortcuts tried on a path that was found.")
 
 
-class Ompl(Plugin):
+class Ompl(Plugin[OmplConfig], MotionPlanner):
     """RRT-Connect, then shortcuts. The same problem and seed give the same path, unless time runs out."""
 
     stage = "motion"
     name = "ompl"
-    Config = OmplConfig
-    config: OmplConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def check_ready(self) -> None:
         """See Plugin."""
@@ -46,7 +44,7 @@ class Ompl(Plugin):
             raise ToolkitError("motion 'ompl' needs OMPL: pip install 'rearrange-toolkit[arm]'")
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
-        """See Motion."""
+        """See MotionPlanner."""
         for what, q in (("start", problem.start), ("goal", problem.goal)):
             if not problem.free(q):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")
@@ -56,7 +54,7 @@ class Ompl(Plugin):
             return direct
         found = self._search(problem, int(rng.integers(1, 2**31)))
         if found is None:
-            return Failure("motion", f"no motion was found within {self.config.time_s:g} s")
+            return Failure("motion", f"no motion was found within {problem.time_s:g} s")
         return shortcut(found, problem.free, self.config.step_rad, self.config.shortcuts, rng)
 
     def _search(self, problem: MotionProblem, seed: int) -> Float | None:
@@ -83,7 +81,7 @@ class Ompl(Plugin):
         planner.setRange(self.config.range_rad)
         planner.setProblemDefinition(definition)
         planner.setup()
-        end = time.process_time() + self.config.time_s
+        end = time.process_time() + problem.time_s
         planner.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
         if not definition.hasExactSolution():
             return None

@@ -11,9 +11,10 @@ from pydantic import Field
 from toolkit.rearrangement.dependencies import Dependencies, dependencies, lower_bound, screen
 from toolkit.rearrangement.feedback import feedback_vertex_set
 from toolkit.rearrangement.footprints import Footprint
-from toolkit.rearrangement.moves import Finished, Item, Move, Plan, Table
+from toolkit.rearrangement.moves import Finished, Item, Layout, Move, Plan
 from toolkit.rearrangement.planners.ordering.buffers import nearest_spot
 from toolkit.rearrangement.planners.ordering.order import shortest_order
+from toolkit.rearrangement.stages import Planner, Schedule
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure
 
@@ -21,40 +22,40 @@ _SAME_PLACE_M = 0.01
 """An object this near to where it was expected is there."""
 
 
-def plan(table: Table) -> Plan:
+def plan(layout: Layout) -> Plan:
     """Plan all moves.
 
     Every wanted item moves once, items that stand in a goal without having one of their own move aside, and of every
     cycle of dependencies the fewest items wait at a free place.
     """
-    table, failures = screen(table)
-    bound = lower_bound(table)
+    layout, failures = screen(layout)
+    bound = lower_bound(layout)
     kept = 0
     while True:
-        graph = dependencies(table)
+        graph = dependencies(layout)
         found = feedback_vertex_set(graph.in_cycles, kept)
         if found is None:
-            stuck = [table.items[i] for i in graph.wanted if kept >> i & 1]
-            table, failures = _give_up(stuck[0], table, failures)
+            stuck = [layout.items[i] for i in graph.wanted if kept >> i & 1]
+            layout, failures = _give_up(stuck[0], layout, failures)
             kept = 0
             continue
         waiting = (*found.vertices, *graph.evicted)
-        moves = _moves(table, graph, waiting)
+        moves = _moves(layout, graph, waiting)
         if isinstance(moves, int):
             if moves in graph.evicted:
-                table, failures = _give_up(table.items[moves], table, failures)
+                layout, failures = _give_up(layout.items[moves], layout, failures)
             else:
                 kept |= 1 << moves
             continue
         return Plan(moves, failures, bound)
 
 
-def _give_up(item: Item, table: Table, failures: dict[int, Failure]) -> tuple[Table, dict[int, Failure]]:
+def _give_up(item: Item, layout: Layout, failures: dict[int, Failure]) -> tuple[Layout, dict[int, Failure]]:
     """Leave an item for which there is no free place where it stands, and what needs it gone with it."""
-    table, more = screen(table.with_item(replace(item, fixed=True)))
+    layout, more = screen(layout.with_item(replace(item, fixed=True)))
     own = Failure("planner", "there is no free place on the table for it to stand aside")
     kept = {key: failure for key, failure in more.items() if key != item.object}
-    return table, {**failures, **kept, item.object: own}
+    return layout, {**failures, **kept, item.object: own}
 
 
 @dataclass(frozen=True)
@@ -65,26 +66,26 @@ class _Step:
     to_goal: bool
 
 
-def _moves(table: Table, graph: Dependencies, waiting: Sequence[int]) -> tuple[Move, ...] | int:
+def _moves(layout: Layout, graph: Dependencies, waiting: Sequence[int]) -> tuple[Move, ...] | int:
     """The moves in order; or the position of a waiting item that has no free place."""
     steps = [_Step(i, False) for i in waiting] + [_Step(i, True) for i in graph.wanted]
     before = _precedence(steps, graph)
-    everywhere = [item.footprint for item in table.items]
-    everywhere += [item.goal for item in table.items if item.goal is not None]
+    everywhere = [item.footprint for item in layout.items]
+    everywhere += [item.goal for item in layout.items if item.goal is not None]
     spots: dict[int, Move] = {}
     for i in waiting:
         taken = everywhere + [spot.footprint for spot in spots.values()]
-        spot = nearest_spot(table.items[i], table, taken, _why(i, table, graph))
+        spot = nearest_spot(layout.items[i], layout, taken, _why(i, layout, graph))
         if spot is None:
-            return _moves_in_tight_space(table, graph, steps, before)
+            return _moves_in_tight_space(layout, graph, steps, before)
         spots[i] = spot
-    ends = [table.items[s.item].goal if s.to_goal else spots[s.item].footprint for s in steps]
+    ends = [layout.items[s.item].goal if s.to_goal else spots[s.item].footprint for s in steps]
     starts = [
-        spots[s.item].footprint if s.to_goal and s.item in spots else table.items[s.item].footprint for s in steps
+        spots[s.item].footprint if s.to_goal and s.item in spots else layout.items[s.item].footprint for s in steps
     ]
     picks = np.array([start.center for start in starts]).reshape(-1, 2)
     places = np.array([end.center for end in ends if end is not None]).reshape(-1, 2)
-    return _carry_out(table, [steps[k] for k in shortest_order(picks, places, before)], spots)
+    return _carry_out(layout, [steps[k] for k in shortest_order(picks, places, before)], spots)
 
 
 def _precedence(steps: Sequence[_Step], graph: Dependencies) -> list[int]:
@@ -103,25 +104,25 @@ def _precedence(steps: Sequence[_Step], graph: Dependencies) -> list[int]:
 
 
 def _moves_in_tight_space(
-    table: Table, graph: Dependencies, steps: Sequence[_Step], before: Sequence[int]
+    layout: Layout, graph: Dependencies, steps: Sequence[_Step], before: Sequence[int]
 ) -> tuple[Move, ...] | int:
     """Where no place keeps clear of everything, one that is free for as long as it is needed."""
     order = _short_stays(steps, before)
     sequence = [steps[k] for k in order]
     spots: dict[int, Move] = {}
-    now = table
+    now = layout
     for at, step in enumerate(sequence):
         item = now.items[step.item]
         if not step.to_goal:
             until = next((i for i, s in enumerate(sequence) if s.item == step.item and s.to_goal), len(sequence))
             taken = [other.footprint for other in now.items if other is not item]
             taken += _filled(now, sequence[at:until])
-            spot = nearest_spot(item, table, taken, _why(step.item, table, graph), tight=True)
+            spot = nearest_spot(item, layout, taken, _why(step.item, layout, graph), tight=True)
             if spot is None:
                 return step.item
             spots[step.item] = spot
         now = now.after(item.to_goal() if step.to_goal else spots[step.item])
-    return _carry_out(table, sequence, spots)
+    return _carry_out(layout, sequence, spots)
 
 
 def _short_stays(steps: Sequence[_Step], before: Sequence[int]) -> list[int]:
@@ -151,22 +152,22 @@ def _all_before(mask: int, before: Sequence[int]) -> int:
     return found
 
 
-def _filled(table: Table, steps: Sequence[_Step]) -> list[Footprint]:
-    goals = [table.items[step.item].goal for step in steps if step.to_goal]
+def _filled(layout: Layout, steps: Sequence[_Step]) -> list[Footprint]:
+    goals = [layout.items[step.item].goal for step in steps if step.to_goal]
     return [goal for goal in goals if goal is not None]
 
 
-def _carry_out(table: Table, sequence: Sequence[_Step], spots: dict[int, Move]) -> tuple[Move, ...]:
+def _carry_out(layout: Layout, sequence: Sequence[_Step], spots: dict[int, Move]) -> tuple[Move, ...]:
     moves: list[Move] = []
     for step in sequence:
-        move = table.items[step.item].to_goal() if step.to_goal else spots[step.item]
+        move = layout.items[step.item].to_goal() if step.to_goal else spots[step.item]
         moves.append(move)
-        table = table.after(move)
+        layout = layout.after(move)
     return tuple(moves)
 
 
-def _why(position: int, table: Table, graph: Dependencies) -> str:
-    blocked = [table.items[i].object for i in graph.wanted if graph.leave_first[i] >> position & 1]
+def _why(position: int, layout: Layout, graph: Dependencies) -> str:
+    blocked = [layout.items[i].object for i in graph.wanted if graph.leave_first[i] >> position & 1]
     return f"it stands in the goal of object {', '.join(map(str, blocked))}"
 
 
@@ -176,20 +177,18 @@ class OptimalConfig(PluginConfig):
     tries: int = Field(2, ge=1, description="Failed moves of an object after which it counts as one that cannot move.")
 
 
-class Optimal(Plugin):
+class Optimal(Plugin[OptimalConfig], Planner):
     """Fewest moves: the minimum feedback vertex set of the dependency graph stands aside; shortest order by travel."""
 
     stage = "planner"
     name = "optimal"
-    Config = OptimalConfig
-    config: OptimalConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def start(self, seed: int) -> OptimalSchedule:
         """See Planner; nothing is left to chance."""
         return OptimalSchedule(self.config.tries)
 
 
-class OptimalSchedule:
+class OptimalSchedule(Schedule):
     """Follows a plan as long as things are where they should be, and plans anew where not."""
 
     def __init__(self, tries: int) -> None:
@@ -197,15 +196,15 @@ class OptimalSchedule:
         self._failed: dict[int, int] = {}
         self._postponed: set[int] = set()
         self._queue: list[Move] = []
-        self._expected: Table | None = None
+        self._expected: Layout | None = None
         self._last: Move | None = None
         self._failures: dict[int, Failure] = {}
 
-    def next(self, table: Table) -> Move | Finished:
+    def next(self, layout: Layout) -> Move | Finished:
         """See Schedule."""
-        self._look_at_last(table)
+        self._look_at_last(layout)
         while True:
-            held = self._hold(table)
+            held = self._hold(layout)
             if self._expected is None or not _as_expected(held, self._expected):
                 found = plan(held)
                 self._queue, self._failures = list(found.moves), dict(found.failures)
@@ -216,14 +215,14 @@ class OptimalSchedule:
             self._postponed.clear()
             self._expected = None
 
-    def _take(self, table: Table) -> Move:
+    def _take(self, layout: Layout) -> Move:
         move = self._queue.pop(0)
         if move.to == "goal":
-            move = table.item(move.object).to_goal(move.reason)
-        self._expected, self._last = table.after(move), move
+            move = layout.item(move.object).to_goal(move.reason)
+        self._expected, self._last = layout.after(move), move
         return move
 
-    def _look_at_last(self, table: Table) -> None:
+    def _look_at_last(self, layout: Layout) -> None:
         """An object that is not where it was put has failed; it is tried again when nothing else is left to do.
 
         Where a turn leaves the footprint as it was, its goal tells: it has it no more once it is there.
@@ -231,25 +230,25 @@ class OptimalSchedule:
         last, self._last = self._last, None
         if last is None:
             return
-        now = table.item(last.object)
+        now = layout.item(last.object)
         if not _same_place(now.footprint, last.footprint) or (last.to == "goal" and now.wanted):
             self._failed[last.object] = self._failed.get(last.object, 0) + 1
             self._postponed.add(last.object)
 
-    def _hold(self, table: Table) -> Table:
-        """The table with the objects fixed that are postponed, or have failed too often."""
+    def _hold(self, layout: Layout) -> Layout:
+        """The layout with the objects fixed that are postponed, or have failed too often."""
         for object_id, count in self._failed.items():
             if count >= self._tries:
                 self._postponed.discard(object_id)
             if count >= self._tries or object_id in self._postponed:
-                table = table.with_item(replace(table.item(object_id), fixed=True))
-        return table
+                layout = layout.with_item(replace(layout.item(object_id), fixed=True))
+        return layout
 
 
-def _as_expected(table: Table, expected: Table) -> bool:
+def _as_expected(layout: Layout, expected: Layout) -> bool:
     return all(
         a.object == b.object and a.wanted == b.wanted and _same_place(a.footprint, b.footprint)
-        for a, b in zip(table.items, expected.items, strict=True)
+        for a, b in zip(layout.items, expected.items, strict=True)
     )
 
 

@@ -7,8 +7,9 @@ from collections.abc import Generator
 import numpy as np
 from pydantic import Field
 
-from toolkit.rearrangement.moves import Finished, Item, Move, Table
+from toolkit.rearrangement.moves import Finished, Item, Layout, Move
 from toolkit.rearrangement.planners.ordering.buffers import random_spot
+from toolkit.rearrangement.stages import Planner, Schedule
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure
 
@@ -23,73 +24,71 @@ class PaperConfig(PluginConfig):
     samples: int = Field(200, ge=1, description="Random places tried for a collision-free one.")
 
 
-class Paper(Plugin):
+class Paper(Plugin[PaperConfig], Planner):
     """The paper's greedy loop: fixed order, failure counts, random free places (Algorithm 1)."""
 
     stage = "planner"
     name = "paper"
-    Config = PaperConfig
-    config: PaperConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def start(self, seed: int) -> PaperSchedule:
         """See Planner."""
         return PaperSchedule(self.config, np.random.default_rng(seed))
 
 
-class PaperSchedule:
-    """Algorithm 1, suspended where it moves an object: the next table is line 7's current observation."""
+class PaperSchedule(Schedule):
+    """Algorithm 1, suspended where it moves an object: the next layout is line 7's current observation."""
 
     def __init__(self, config: PaperConfig, rng: np.random.Generator) -> None:
         self._config = config
         self._rng = rng
-        self._steps: Generator[Move, Table, Finished] | None = None
+        self._steps: Generator[Move, Layout, Finished] | None = None
         self._finished: Finished | None = None
 
-    def next(self, table: Table) -> Move | Finished:
+    def next(self, layout: Layout) -> Move | Finished:
         """See Schedule."""
         if self._finished is not None:
             return self._finished
         try:
             if self._steps is None:
-                self._steps = self._algorithm_1(table)
+                self._steps = self._algorithm_1(layout)
                 return next(self._steps)
-            return self._steps.send(table)
+            return self._steps.send(layout)
         except StopIteration as end:
             self._finished = end.value
             return end.value
 
-    def _algorithm_1(self, table: Table) -> Generator[Move, Table, Finished]:
+    def _algorithm_1(self, layout: Layout) -> Generator[Move, Layout, Finished]:
         """The comments give the algorithm's lines. TryCnt, which it never counts, counts its passes (lines 4 to 19)."""
-        remaining = [item.object for item in table.items if item.wanted]  # 2
+        remaining = [item.object for item in layout.items if item.wanted]  # 2
         failures = dict.fromkeys(remaining, 0)  # 3
         tries = 0
         while True:  # 4
             for object_id in list(remaining):  # 5
-                item = table.item(object_id)  # 6, 7: `table` is the newest observation
+                item = layout.item(object_id)  # 6, 7: `layout` is the newest observation
                 if item.goal is None:
                     continue
-                collision = table.in_the_way(item.goal, of=object_id)  # 8
+                collision = layout.in_the_way(item.goal, of=object_id)  # 8
                 if not collision:  # 9
-                    table = yield item.to_goal()  # 10
+                    layout = yield item.to_goal()  # 10
                     remaining.remove(object_id)  # 11
                 else:  # 12
                     failures[object_id] += 1  # 13
                     if failures[object_id] > self._config.max_failures:  # 14
-                        spot = random_spot(item, table, self._rng, self._config.samples, _reason(collision))
+                        spot = random_spot(item, layout, self._rng, self._config.samples, _reason(collision))
                         if spot is not None:
-                            table = yield spot  # 15
+                            layout = yield spot  # 15
             tries += 1
             if not remaining or tries > self._config.max_tries:  # 20
                 break
-        return Finished({i: _left_over(table.item(i), table, self._config.max_tries) for i in remaining})
+        return Finished({i: _left_over(layout.item(i), layout, self._config.max_tries) for i in remaining})
 
 
 def _reason(collision: list[int]) -> str:
     return f"its goal is taken by object {', '.join(map(str, collision))}, again"
 
 
-def _left_over(item: Item, table: Table, tries: int) -> Failure:
+def _left_over(item: Item, layout: Layout, tries: int) -> Failure:
     if item.goal is None:
         return Failure("planner", "its goal was no longer known when its turn came")
-    taken = table.in_the_way(item.goal, of=item.object)
+    taken = layout.in_the_way(item.goal, of=item.object)
     return Failure("planner", f"given up after {tries} passes: {_reason(taken)}")

@@ -1,10 +1,10 @@
-"""The report's plots, as SVG text. One colour a cell, the same in every plot (Okabe and Ito's palette)."""
+"""The report's plots, as SVG text. One colour per cell, the same in every plot (Okabe and Ito's palette)."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,13 +12,10 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from toolkit.results.completion import MoveRow
-from toolkit.results.rows import CellSummary, Row, errors
+from toolkit.results.rows import CellSummary, JudgedT, Row, errors
 from toolkit.results.stats import wilson_interval
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800", "#888888")
-
-AnyRow = TypeVar("AnyRow", Row, MoveRow)
 
 _RELIABILITY_BINS = 8
 
@@ -74,7 +71,7 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
     return _svg(draw, (10, 3.8))
 
 
-def success_by(rows: Sequence[AnyRow], colors: dict[str, str], key: Callable[[AnyRow], Any], label: str) -> str:
+def success_by(rows: Sequence[JudgedT], colors: dict[str, str], key: Callable[[JudgedT], Any], label: str) -> str:
     """Success with its Wilson interval, by a property of the row."""
 
     def draw(figure: Figure) -> None:
@@ -122,7 +119,7 @@ def confidence_curves(rows: Sequence[Row], colors: dict[str, str]) -> str:
 
 
 def time_by_stage(summaries: Sequence[CellSummary]) -> str:
-    """Median time an object, stacked by stage."""
+    """Median time per object, stacked by stage."""
 
     def draw(figure: Figure) -> None:
         axes: Any = figure.add_subplot()
@@ -134,7 +131,7 @@ def time_by_stage(summaries: Sequence[CellSummary]) -> str:
             left += width
         axes.set_yticks(range(len(summaries)), [summary.cell for summary in summaries])
         axes.invert_yaxis()
-        axes.set_xlabel("median ms an object (database's share included)")
+        axes.set_xlabel("median ms per object (database's share included)")
         if stages:
             axes.legend(ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.28 - 0.1 / len(summaries)))
 

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from kornia.feature import LightGlue
 from pydantic import Field
 from torch import Tensor
+from typing_extensions import TypeVar
 
 from toolkit.perception.matchers.shared.quarter_turns import TurningConfig, TurningMatcher
 from toolkit.types import Crop, Float, Mask, Matches
@@ -41,19 +42,21 @@ class Keypoints:
     size: int
 
 
-class LightGlueMatcher(TurningMatcher):
+LightGlueConfigT = TypeVar("LightGlueConfigT", bound=LightGlueConfig, default=LightGlueConfig, covariant=True)
+
+
+class LightGlueMatcher(TurningMatcher[LightGlueConfigT]):
     """Shared by the adapters below: which checkpoints, which extractor, which LightGlue."""
 
     stage = "matcher"
-    Config = LightGlueConfig
-    config: LightGlueConfig
-    glue: dict[str, Any]
-    derived: tuple[str, ...] = ()
+    glue: ClassVar[dict[str, Any]]
+    """What kornia's LightGlue is made with."""
+
+    derived: ClassVar[tuple[str, ...]] = ()
     """Buffers that the extractor makes itself and no checkpoint holds."""
 
     @property
     def crop_size(self) -> int:
-        """Side of the crops, in pixels."""
         return self.config.crop_size
 
     @abstractmethod

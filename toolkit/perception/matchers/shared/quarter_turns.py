@@ -9,7 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
+from toolkit.perception.stages import Matcher
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Crop, Float, Matches
 
@@ -31,7 +33,10 @@ class Oriented:
     turned: list[Any] = field(default_factory=list[Any])
 
 
-class TurningMatcher(Plugin):
+TurningConfigT = TypeVar("TurningConfigT", bound=TurningConfig, default=TurningConfig, covariant=True)
+
+
+class TurningMatcher(Plugin[TurningConfigT], Matcher):
     """A Matcher over `extract_upright` and `match_upright` that tries `config.rotations` turns of the query."""
 
     @abstractmethod
@@ -48,7 +53,6 @@ class TurningMatcher(Plugin):
 
     def match(self, query: Oriented, references: Sequence[Oriented]) -> list[Matches]:
         """Match every turn of the query to all references; for each, the turn with most score is kept."""
-        assert isinstance(self.config, TurningConfig)
         if not query.turned and self.config.rotations > 1:
             query.turned += self.extract_upright([turn(query.crop, k) for k in range(1, self.config.rotations)])
         upright = [reference.upright for reference in references]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
 from toolkit.geometry import project
+from toolkit.perception.stages import PnP
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Correspondences, Failure, Float, Mask, PnPSolution
 
@@ -27,16 +31,17 @@ class PnPConfig(PluginConfig):
     )
 
 
-class RobustPnP(Plugin):
+PnPConfigT = TypeVar("PnPConfigT", bound=PnPConfig, default=PnPConfig, covariant=True)
+
+
+class RobustPnP(Plugin[PnPConfigT], PnP):
     """Base of the solvers: a subclass gives the pose, this class says whether it can be believed."""
 
     stage = "pnp"
-    Config = PnPConfig
-    config: PnPConfig
 
+    @abstractmethod
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
         """Return a (4, 4) T_camera_world that may be wrong or not finite, or None when none was found."""
-        raise NotImplementedError
 
     def covariance(self, problem: Correspondences, T_camera_world: Float) -> Float | None:
         """Return the (6, 6) covariance of a pose (`PnPSolution`), where the solver knows it."""

@@ -7,13 +7,15 @@ hypotheses run in a `while_loop` that stops when enough have been seen. Chum et 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float, Int
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 from toolkit.perception.pnp.solving.p3p import p3p
 
 _OPTIMISED = 8
@@ -21,55 +23,52 @@ _OPTIMISED = 8
 _WIDE, _STEPS = 2.0, 4
 """Local optimisation first accepts errors `_WIDE` times as large, so that an inexact start collects its inliers."""
 _POLISH_STEPS = 12
+_RIDGE = 1e-12
+"""Keeps the equations solvable where no point is an inlier."""
 
 
 class Problem(NamedTuple):
     """Padded correspondences.
 
     Attributes:
-        points: (B, 3) centred and scaled to unit size.
-        rays: (B, 2) image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
-        valid: (B,) bool, False for padding.
-        focal: (2,) fx and fy, pixels.
-        threshold: (), pixels.
+        points: centred and scaled to unit size.
+        rays: image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
+        valid: False for padding.
+        focal: fx and fy, pixels.
+        threshold: pixels.
     """
 
-    points: Array
-    rays: Array
-    valid: Array
-    focal: Array
-    threshold: Array
-
-
-class Pose(NamedTuple):
-    """Rotation (..., 3, 3) and translation (..., 3), problem to camera."""
-
-    R: Array
-    t: Array
+    points: Float[Array, "N 3"]
+    rays: Float[Array, "N 2"]
+    valid: Bool[Array, " N"]
+    focal: Float[Array, " 2"]
+    threshold: Float[Array, ""]
 
 
 class _Search(NamedTuple):
-    round: Array
-    cost: Array
+    round: Int[Array, ""]
+    cost: Float[Array, ""]
     pose: Pose
 
 
 @jax.jit
-def search(problem: Problem, samples: Array, confidence: Array) -> tuple[Pose, Array]:
+def search(
+    problem: Problem, samples: Int[Array, "rounds hypotheses 3"], confidence: Float[Array, ""]
+) -> tuple[Pose, Float[Array, ""]]:
     """Find the pose of the smallest truncated squared reprojection error.
 
     Args:
         problem: the correspondences.
-        samples: (rounds, hypotheses, 3) int32 rows of minimal samples.
-        confidence: (), probability with which one sample shall have been free of outliers before the search stops.
+        samples: rows of minimal samples.
+        confidence: probability with which one sample shall have been free of outliers before the search stops.
 
     Returns:
-        The pose, and its cost in squared pixels: infinite when no sample had a solution.
+        The pose, problem to camera, and its cost in squared pixels: infinite when no sample had a solution.
     """
     rounds, hypotheses, _ = samples.shape
     count = problem.valid.sum()
 
-    def unfinished(search: _Search) -> Array:
+    def unfinished(search: _Search) -> Bool[Array, ""]:
         # cost / threshold^2 is at least the number of outliers, so this is a lower bound of the inlier share.
         share = jnp.maximum(1 - search.cost / (problem.threshold**2 * count), 0.0)
         needed = jnp.log1p(-confidence) / jnp.log1p(-(jnp.minimum(share, 0.999) ** 3))
@@ -92,7 +91,7 @@ def polish(problem: Problem, pose: Pose) -> Pose:
     return _refine(problem, pose, jnp.full(_POLISH_STEPS, problem.threshold))
 
 
-def _best_of_round(problem: Problem, samples: Array) -> tuple[Pose, Array]:
+def _best_of_round(problem: Problem, samples: Int[Array, "hypotheses 3"]) -> tuple[Pose, Float[Array, ""]]:
     bearings = jnp.concatenate([problem.rays, jnp.ones_like(problem.rays[:, :1])], axis=1)
     bearings = bearings / jnp.linalg.norm(bearings, axis=1, keepdims=True)
     R, t, real = jax.vmap(p3p)(problem.points[samples], bearings[samples])
@@ -108,45 +107,40 @@ def _best_of_round(problem: Problem, samples: Array) -> tuple[Pose, Array]:
     return Pose(poses.R[winner], poses.t[winner]), costs[winner]
 
 
-def _cost(problem: Problem, pose: Pose, threshold: Array) -> Array:
-    """(...,) sum of squared errors, pixels^2, each at most threshold^2; so are points behind the camera."""
+def _cost(problem: Problem, pose: Pose, threshold: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """Sum of squared errors, pixels^2, each at most threshold^2; so are points behind the camera."""
     X = pose.R @ problem.points.T + pose.t[..., None]
     _, squared, inlier = _residuals(problem, X, threshold)
     return _total(problem, squared, inlier, threshold)
 
 
-def _residuals(problem: Problem, X: Array, threshold: Array) -> tuple[Array, Array, Array]:
-    """Of (..., 3, B) camera points: (..., 2, B) errors in pixels, (..., B) squared, (..., B) which are inliers."""
+def _residuals(
+    problem: Problem, X: Float[Array, "*batch 3 N"], threshold: Float[Array, ""]
+) -> tuple[Float[Array, "*batch 2 N"], Float[Array, "*batch N"], Bool[Array, "*batch N"]]:
+    """Of camera points: errors in pixels, squared errors, and which are inliers."""
     errors = (X[..., :2, :] / X[..., 2:, :] - problem.rays.T) * problem.focal[:, None]
     squared = jnp.sum(errors**2, axis=-2)
     return errors, squared, problem.valid & (X[..., 2, :] > 0) & (squared < threshold**2)
 
 
-def _total(problem: Problem, squared: Array, inlier: Array, threshold: Array) -> Array:
+def _total(
+    problem: Problem, squared: Float[Array, "*batch N"], inlier: Bool[Array, "*batch N"], threshold: Float[Array, ""]
+) -> Float[Array, "*batch"]:
     return jnp.sum(jnp.where(inlier, squared, jnp.where(problem.valid, threshold**2, 0.0)), axis=-1)
 
 
-def _refine(problem: Problem, pose: Pose, thresholds: Array) -> Pose:
-    """Levenberg-Marquardt on SE(3) of the truncated cost: least squares on the inliers, which follow the pose.
+def _refine(problem: Problem, pose: Pose, thresholds: Float[Array, " steps"]) -> Pose:
+    """Least squares on the inliers, which follow the pose: the truncated cost's minimum nearest to a pose.
 
     Args:
         problem: the correspondences.
         pose: where to start.
-        thresholds: (S,) inlier threshold of every step, pixels.
+        thresholds: inlier threshold of every step, pixels.
     """
-
-    def step(state: tuple[Pose, Array], threshold: Array) -> tuple[tuple[Pose, Array], None]:
-        pose, damping = state
-        trial, cost = _gauss_newton(problem, pose, threshold, damping)
-        better = _cost(problem, trial, threshold) < cost
-        pose = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, pose)
-        return (pose, damping * jnp.where(better, 0.1, 10.0)), None
-
-    return jax.lax.scan(step, (pose, jnp.array(1e-4)), thresholds)[0][0]
+    return descend(pose, thresholds, partial(_equations, problem), partial(_cost, problem), _RIDGE)
 
 
-def _gauss_newton(problem: Problem, pose: Pose, threshold: Array, damping: Array) -> tuple[Pose, Array]:
-    """One damped step over (w, v), with R <- exp(w) R and t <- t + v; and the cost before it."""
+def _equations(problem: Problem, pose: Pose, threshold: Float[Array, ""]) -> Equations:
     rotated = pose.R @ problem.points.T
     X = rotated + pose.t[:, None]
     residuals, squared, inlier = _residuals(problem, X, threshold)
@@ -157,8 +151,5 @@ def _gauss_newton(problem: Problem, pose: Pose, threshold: Array, damping: Array
     by_x = jnp.stack([y * b, z * a - x * b, -y * a, a, zero, b])
     by_y = jnp.stack([y * d - z * c, -x * d, x * c, zero, c, d])
     J = jnp.where(inlier, jnp.stack([by_x, by_y], axis=1), 0.0).reshape(6, -1)
-    normal = J @ J.T
-    # The tiny constant keeps the system solvable where no point is an inlier.
-    normal = normal + jnp.diag(damping * jnp.diagonal(normal) + 1e-12)
-    step = -jnp.linalg.solve(normal, J @ jnp.where(inlier, residuals, 0.0).ravel())
-    return Pose(rotation_exp(step[:3]) @ pose.R, pose.t + step[3:]), _total(problem, squared, inlier, threshold)
+    gradient = J @ jnp.where(inlier, residuals, 0.0).ravel()
+    return Equations(J @ J.T, gradient, _total(problem, squared, inlier, threshold))

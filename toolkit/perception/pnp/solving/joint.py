@@ -1,19 +1,21 @@
 """Robust weighted least squares on all correspondences of an instance at once, freely or on the table (JAX).
 
-The unknown is the motion in the goal's world, q = R (p - o) + t with o the points' mean, so that the planar prior holds
-three of six parameters fixed. Hypotheses under the prior come from two points each: with the turn about the vertical
-written as (cos, sin), every pixel gives two equations that are linear in (cos, sin, x, y).
+The unknown is the motion in the goal's world, a pose (R, t) with q = R (p - o) + t and o the points' mean, so that the
+planar prior holds three of six parameters fixed. Hypotheses under the prior come from two points each: with the turn
+about the vertical written as (cos, sin), every pixel gives two equations that are linear in (cos, sin, x, y).
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float, Int
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 
 _OPTIMISED = 8
 """Best hypotheses that are refined: a minimal sample's pose ranks only roughly under noise."""
@@ -22,60 +24,55 @@ _WIDE, _STEPS = 3.0, 8
 """Refinement first weights errors at `_WIDE` times the scale, so that an inexact start collects its inliers."""
 
 _POLISH_STEPS = 15
+_RIDGE = 1e-9
+"""Keeps the equations solvable where no point counts."""
 
 
 class Evidence(NamedTuple):
     """Padded correspondences and the camera that sees the moved points.
 
     Attributes:
-        points: (B, 3) world, less their mean, metres.
-        rays: (B, 2) image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
-        weights: (B,) 0..1, 0 for padding.
-        focal: (2,) fx and fy, pixels.
-        R: (3, 3) and
-        t: (3,) goal world to camera.
-        scale: (), pixels: errors of this size count half.
+        points: world, less their mean, metres.
+        rays: image points over the focal length: ((x - cx) / fx, (y - cy) / fy).
+        weights: 0..1, 0 for padding.
+        focal: fx and fy, pixels.
+        R: rotation, goal world to camera.
+        t: translation, goal world to camera, metres.
+        scale: pixels: errors of this size count half.
     """
 
-    points: Array
-    rays: Array
-    weights: Array
-    focal: Array
-    R: Array
-    t: Array
-    scale: Array
-
-
-class Motion(NamedTuple):
-    """Rotation (..., 3, 3) and the place (..., 3) of the points' mean after it, world, metres."""
-
-    R: Array
-    t: Array
+    points: Float[Array, "N 3"]
+    rays: Float[Array, "N 2"]
+    weights: Float[Array, " N"]
+    focal: Float[Array, " 2"]
+    R: Float[Array, "3 3"]
+    t: Float[Array, " 3"]
+    scale: Float[Array, ""]
 
 
 @jax.jit
-def search_planar(evidence: Evidence, samples: Array, height: Array) -> Motion:
-    """The best motion on the table of (H, 2) int32 samples; `height` () is that of the points' mean, metres."""
+def search_planar(evidence: Evidence, samples: Int[Array, "hypotheses 2"], height: Float[Array, ""]) -> Pose:
+    """The best motion on the table of samples of two rows; `height` is that of the points' mean, metres."""
     motions = jax.vmap(lambda rows: _from_two_points(evidence, rows, height))(samples)
     costs = jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(motions)
     _, best = jax.lax.top_k(-jnp.nan_to_num(costs, nan=jnp.inf), _OPTIMISED)
     free = jnp.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     scales = evidence.scale * jnp.repeat(jnp.array([_WIDE, 1.0]), _STEPS)
-    refined = jax.vmap(lambda motion: _refine(evidence, motion, free, scales))(Motion(motions.R[best], motions.t[best]))
+    refined = jax.vmap(lambda motion: _refine(evidence, motion, free, scales))(Pose(motions.R[best], motions.t[best]))
     winner = jnp.argmin(jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(refined))
     return jax.tree.map(lambda part: part[winner], refined)
 
 
 @jax.jit
-def polish(evidence: Evidence, start: Motion, free: Array) -> Motion:
-    """Take a motion to the nearest minimum of the robust cost; (6,) `free`: 1 for what of (turn, shift) may change."""
+def polish(evidence: Evidence, start: Pose, free: Float[Array, " 6"]) -> Pose:
+    """Take a motion to the nearest minimum of the robust cost; `free` is 1 for what of (turn, shift) may change."""
     return _refine(evidence, start, free, jnp.full(_POLISH_STEPS, evidence.scale))
 
 
 @jax.jit
-def covariance(evidence: Evidence, motion: Motion, free: Array) -> Array:
-    """(6, 6) covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
-    H, _ = _equations(evidence, motion, evidence.scale, free)
+def covariance(evidence: Evidence, motion: Pose, free: Float[Array, " 6"]) -> Float[Array, "6 6"]:
+    """Covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
+    H = _equations(evidence, free, motion, evidence.scale).H
     squared, robust = _squared(evidence, motion), _robust(evidence, motion, evidence.scale)
     freedom = jnp.maximum(2 * robust.sum() - free.sum(), 1.0)
     variance = (robust * squared).sum() / freedom
@@ -83,7 +80,7 @@ def covariance(evidence: Evidence, motion: Motion, free: Array) -> Array:
     return variance * jnp.linalg.inv(H + held) * jnp.outer(free, free)
 
 
-def _from_two_points(evidence: Evidence, rows: Array, height: Array) -> Motion:
+def _from_two_points(evidence: Evidence, rows: Int[Array, " 2"], height: Float[Array, ""]) -> Pose:
     points, rays = evidence.points[rows], evidence.rays[rows]
     # a . q + d = 0 for every pixel coordinate.
     a = (evidence.R[:2] - rays[..., None] * evidence.R[2]).reshape(4, 3)
@@ -93,35 +90,34 @@ def _from_two_points(evidence: Evidence, rows: Array, height: Array) -> Motion:
     cos, sin, tx, ty = jnp.linalg.solve(A + 1e-12 * jnp.eye(4), -(a[:, 2] * (z + height) + d))
     length = jnp.hypot(cos, sin)
     cos, sin = cos / length, sin / length
-    return Motion(jnp.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]), jnp.stack([tx, ty, height]))
+    return Pose(jnp.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]), jnp.stack([tx, ty, height]))
 
 
-def _seen(evidence: Evidence, motion: Motion) -> tuple[Array, Array, Array]:
-    """Of all points: (B, 3) turned, (B, 3) in the camera, (B, 2) errors in pixels."""
+def _seen(evidence: Evidence, motion: Pose) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"], Float[Array, "N 2"]]:
+    """All points turned, in the camera, and their errors in pixels."""
     turned = evidence.points @ motion.R.T
     camera = (turned + motion.t) @ evidence.R.T + evidence.t
     return turned, camera, (camera[:, :2] / camera[:, 2:] - evidence.rays) * evidence.focal
 
 
-def _squared(evidence: Evidence, motion: Motion) -> Array:
-    """(B,) squared errors in pixels, huge behind the camera."""
+def _squared(evidence: Evidence, motion: Pose) -> Float[Array, " N"]:
+    """Squared errors in pixels, huge behind the camera."""
     _, camera, errors = _seen(evidence, motion)
     return jnp.where(camera[:, 2] > 0, (errors**2).sum(axis=1), 1e12)
 
 
-def _robust(evidence: Evidence, motion: Motion, scale: Array) -> Array:
-    """(B,) Geman-McClure weights times the correspondences' own."""
+def _robust(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Array, " N"]:
+    """Geman-McClure weights times the correspondences' own."""
     return evidence.weights / (1 + _squared(evidence, motion) / scale**2) ** 2
 
 
-def _cost(evidence: Evidence, motion: Motion, scale: Array) -> Array:
-    """() Geman-McClure cost."""
+def _cost(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Array, ""]:
+    """Geman-McClure cost."""
     squared = _squared(evidence, motion)
     return (evidence.weights * squared / (squared + scale**2)).sum()
 
 
-def _equations(evidence: Evidence, motion: Motion, scale: Array, free: Array) -> tuple[Array, Array]:
-    """(6, 6) Gauss-Newton matrix and (6,) gradient."""
+def _equations(evidence: Evidence, free: Float[Array, " 6"], motion: Pose, scale: Float[Array, ""]) -> Equations:
     turned, camera, errors = _seen(evidence, motion)
     z = jnp.maximum(camera[:, 2:], 1e-6)
     flat = camera[:, :2] / z
@@ -130,21 +126,11 @@ def _equations(evidence: Evidence, motion: Motion, scale: Array, free: Array) ->
     by_turn = jnp.cross(turned[:, None], by_world)
     J = jnp.concatenate([by_turn, by_world], axis=2) * free
     weight = _robust(evidence, motion, scale)
-    return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, errors)
+    H = jnp.einsum("m,mck,mcl->kl", weight, J, J)
+    return Equations(H, jnp.einsum("m,mck,mc->k", weight, J, errors), _cost(evidence, motion, scale))
 
 
-def _refine(evidence: Evidence, motion: Motion, free: Array, scales: Array) -> Motion:
-    """Levenberg-Marquardt with iteratively reweighted residuals; (S,) scales, one a step."""
-
-    def step(state: tuple[Motion, Array], scale: Array) -> tuple[tuple[Motion, Array], None]:
-        motion, damping = state
-        H, gradient = _equations(evidence, motion, scale, free)
-        # The tiny constant keeps the system solvable where no point counts.
-        damped = H + jnp.diag(damping * jnp.diagonal(H) + 1e-9 + (1 - free))
-        delta = -jnp.linalg.solve(damped, gradient)
-        trial = Motion(rotation_exp(delta[:3]) @ motion.R, motion.t + delta[3:])
-        better = _cost(evidence, trial, scale) < _cost(evidence, motion, scale)
-        motion = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, motion)
-        return (motion, damping * jnp.where(better, 0.1, 10.0)), None
-
-    return jax.lax.scan(step, (motion, jnp.array(1e-4)), scales)[0][0]
+def _refine(evidence: Evidence, motion: Pose, free: Float[Array, " 6"], scales: Float[Array, " steps"]) -> Pose:
+    """Iteratively reweighted least squares from a motion; one scale in pixels for every step."""
+    linearise = partial(_equations, evidence, free)
+    return descend(motion, scales, linearise, partial(_cost, evidence), _RIDGE + (1 - free))

@@ -23,7 +23,6 @@ class OpenCVPnP(RobustPnP):
     flag: ClassVar[int]
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
-        """See RobustPnP."""
         # USAC (P3P samples, local optimisation) rather than the classic loop, whose EPnP samples of five points need
         # ten times as many draws at 70 % outliers and break down on planar points. Its state is its own: no global RNG.
         params = cv2.UsacParams()

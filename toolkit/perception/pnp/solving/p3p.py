@@ -10,20 +10,25 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
+
+from toolkit.perception.jax_geometry import skew
 
 _NEWTON_STEPS = 2
 
 
-def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
+def p3p(
+    points: Float[Array, "3 3"], bearings: Float[Array, "3 3"]
+) -> tuple[Float[Array, "4 3 3"], Float[Array, "4 3"], Bool[Array, " 4"]]:
     """Solve for the up to four poses that take three points onto three rays.
 
     Args:
-        points: (3, 3) one world point a row, not collinear.
-        bearings: (3, 3) one unit viewing ray a row, camera coordinates.
+        points: one world point in every row, not collinear.
+        bearings: one unit viewing ray in every row, camera coordinates.
 
     Returns:
-        (4, 3, 3) rotations and (4, 3) translations, world to camera, and (4,) bool, which of them are real solutions;
-        the others hold arbitrary numbers.
+        Rotations and translations, world to camera, and which of them are real solutions; the others hold arbitrary
+        numbers.
     """
     i, j = jnp.array([0, 0, 1]), jnp.array([1, 2, 2])
     squared = jnp.sum((points[i] - points[j]) ** 2, axis=1)
@@ -47,7 +52,7 @@ def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
     adj1, adj2 = _adjugate(D1), _adjugate(D2)
     gamma = _real_root(jnp.sum(D2 * adj2) / 3, jnp.sum(D1 * adj2), jnp.sum(adj1 * D2), jnp.sum(D1 * adj1) / 3)
     lines, lines_real = _split(D1 + gamma * D2)
-    cross = jax.vmap(_skew)(lines)
+    cross = skew(lines)
     depths, points_real = jax.vmap(_split)(jnp.swapaxes(cross, 1, 2) @ D1 @ cross)
 
     depths = depths.reshape(4, 3)
@@ -60,7 +65,7 @@ def p3p(points: Array, bearings: Array) -> tuple[Array, Array, Array]:
     return rotations, translations, valid & jnp.all(jnp.isfinite(translations), axis=1)
 
 
-def _real_root(a: Array, b: Array, c: Array, d: Array) -> Array:
+def _real_root(a: Float[Array, ""], b: Float[Array, ""], c: Float[Array, ""], d: Float[Array, ""]) -> Float[Array, ""]:
     """One real root of a x^3 + b x^2 + c x + d (Cardano), polished by Newton's method."""
     shift = b / (3 * a)
     p = c / a - 3 * shift**2
@@ -79,31 +84,26 @@ def _real_root(a: Array, b: Array, c: Array, d: Array) -> Array:
     return x
 
 
-def _split(conic: Array) -> tuple[Array, Array]:
-    """Factor a symmetric (3, 3) matrix of rank two, l m^T + m l^T: (2, 3) rows l and m, and whether they are real.
+def _split(conic: Float[Array, "3 3"]) -> tuple[Float[Array, "2 3"], Bool[Array, ""]]:
+    """Factor a symmetric matrix of rank two, l m^T + m l^T: rows l and m, and whether they are real.
 
     A degenerate conic becomes its two lines; the dual conic of a line's two points becomes the points.
     """
     crossed = -_adjugate(conic)
     k = jnp.argmax(jnp.diagonal(crossed))
     square = crossed[k, k]
-    rank_one = conic + _skew(crossed[:, k] / jnp.sqrt(jnp.abs(square)))
+    rank_one = conic + skew(crossed[:, k] / jnp.sqrt(jnp.abs(square)))
     row, column = jnp.divmod(jnp.argmax(jnp.abs(rank_one)), 3)
     return jnp.stack([rank_one[row], rank_one[:, column]]), square > 0
 
 
-def _adjugate(A: Array) -> Array:
-    """(3, 3) adjugate of a symmetric matrix."""
+def _adjugate(A: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Adjugate of a symmetric matrix."""
     return jnp.stack([jnp.cross(A[1], A[2]), jnp.cross(A[2], A[0]), jnp.cross(A[0], A[1])])
 
 
-def _skew(v: Array) -> Array:
-    """(3, 3) matrix of the cross product with v."""
-    return jnp.cross(v, jnp.eye(3), axisb=0, axisc=0)
-
-
-def _frame(triangle: Array) -> Array:
-    """(3, 3) orthonormal axes, as columns, of a triangle's rows."""
+def _frame(triangle: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Orthonormal axes, as columns, of a triangle's rows."""
     x = triangle[1] - triangle[0]
     z = jnp.cross(x, triangle[2] - triangle[0])
     axes = jnp.stack([x / jnp.linalg.norm(x), z / jnp.linalg.norm(z)])

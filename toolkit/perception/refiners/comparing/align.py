@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.jax_geometry import rotation_exp, skew
 
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
@@ -33,77 +35,79 @@ class GoalImage(NamedTuple):
     """A crop of the goal around one object.
 
     Attributes:
-        values: (L, S, S, 3) normalised intensities, coarse to fine.
-        outside: (S, S) distance in pixels to the nearest pixel where the object may be.
-        contour: (C, 2) pixels of the object's own outline, in the crop.
-        normals: (C, 2) outward unit normals there.
-        contour_weight: (C,) 0 for padding.
-        K: (3, 3) intrinsics of the crop.
-        R: (3, 3) and
-        t: (3,) world to camera.
+        values: normalised intensities, coarse to fine.
+        outside: distance in pixels to the nearest pixel where the object may be.
+        contour: pixels of the object's own outline, in the crop.
+        normals: outward unit normals there.
+        contour_weight: 0 for padding.
+        K: intrinsics of the crop.
+        R: rotation, world to camera.
+        t: translation, world to camera, metres.
     """
 
-    values: jax.Array
-    outside: jax.Array
-    contour: jax.Array
-    normals: jax.Array
-    contour_weight: jax.Array
-    K: jax.Array
-    R: jax.Array
-    t: jax.Array
+    values: Float[Array, "L S S 3"]
+    outside: Float[Array, "S S"]
+    contour: Float[Array, "C 2"]
+    normals: Float[Array, "C 2"]
+    contour_weight: Float[Array, " C"]
+    K: Float[Array, "3 3"]
+    R: Float[Array, "3 3"]
+    t: Float[Array, " 3"]
 
 
 class Source(NamedTuple):
     """What a hypothesis is compared with.
 
     Attributes:
-        points: (M, 3) points of the chosen patches, centred, metres.
-        values: (L, M, 3) their normalised intensities, coarse to fine.
-        weights: (M,) 0 for padding.
-        shape: (N, 3) points of the whole model, centred; padding repeats points.
+        points: of the chosen patches, centred, metres.
+        values: their normalised intensities, coarse to fine.
+        weights: 0 for padding.
+        shape: points of the whole model, centred, metres; padding repeats points.
     """
 
-    points: jax.Array
-    values: jax.Array
-    weights: jax.Array
-    shape: jax.Array
+    points: Float[Array, "*batch M 3"]
+    values: Float[Array, "*batch L M 3"]
+    weights: Float[Array, "*batch M"]
+    shape: Float[Array, "*batch N 3"]
 
 
 class Aligned(NamedTuple):
     """Refined poses of centred model points in the goal's world.
 
     Attributes:
-        R: (3, 3).
-        t: (3,).
-        information: (6, 6) of (turn, shift), inverse covariance in 1/rad^2 and 1/m^2.
+        R: rotations.
+        t: places of the centre, metres.
+        information: of (turn, shift), inverse covariance in 1/rad^2 and 1/m^2.
         correlation: -1..1, of the intensities at the finest level.
         spill: how far the part of the model that lies furthest off the object does, pixels.
     """
 
-    R: jax.Array
-    t: jax.Array
-    information: jax.Array
-    correlation: jax.Array
-    spill: jax.Array
+    R: Float[Array, "*batch 3 3"]
+    t: Float[Array, "*batch 3"]
+    information: Float[Array, "*batch 6 6"]
+    correlation: Float[Array, "*batch"]
+    spill: Float[Array, "*batch"]
 
 
 class Freedom(NamedTuple):
     """What a refinement may change.
 
     Attributes:
-        moves: (6,) 1 for each of (turn xyz, shift xyz) that may change, else 0.
-        rests: () 1 where the object's lowest point stays on the table, else 0.
-        table: () the table's height, metres.
+        moves: 1 for each of (turn xyz, shift xyz) that may change, else 0.
+        rests: 1 where the object's lowest point stays on the table, else 0.
+        table: the table's height, metres.
     """
 
-    moves: jax.Array
-    rests: jax.Array
-    table: jax.Array
+    moves: Float[Array, " 6"]
+    rests: Float[Array, ""]
+    table: Float[Array, ""]
 
 
 @partial(jax.jit, static_argnums=5)
-def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Freedom, iterations: int) -> Aligned:
-    """Refine (B, 3, 3), (B, 3) poses, each with its own Source (leading axis B).
+def align(
+    R: Float[Array, "B 3 3"], t: Float[Array, "B 3"], source: Source, goal: GoalImage, free: Freedom, iterations: int
+) -> Aligned:
+    """Refine poses, each with its own Source (leading axis B).
 
     Args:
         R: rotations.
@@ -116,10 +120,14 @@ def align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Fre
     return jax.vmap(lambda R, t, source: _align(R, t, source, goal, free, iterations))(R, t, source)
 
 
-def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Freedom, iterations: int) -> Aligned:
+def _align(
+    R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, free: Freedom, iterations: int
+) -> Aligned:
     levels = goal.values.shape[0]
 
-    def step(level: int, R: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(
+        level: int, R: Float[Array, "3 3"], t: Float[Array, " 3"]
+    ) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:
         H, g = _normal_equations(R, t, source, goal, level, free)
         damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free.moves))
         delta = -jnp.linalg.solve(damped, g)
@@ -134,12 +142,12 @@ def _align(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, free: Fr
     return Aligned(turn, place, information, correlation, spill)
 
 
-Equations = tuple[jax.Array, jax.Array]
-"""(6, 6) Gauss-Newton matrix and (6,) gradient."""
+Equations = tuple[Float[Array, "6 6"], Float[Array, " 6"]]
+"""Gauss-Newton matrix and gradient."""
 
 
 def _normal_equations(
-    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, free: Freedom
+    R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, level: int, free: Freedom
 ) -> Equations:
     turned = source.shape @ R.T
     uv, duv = _project(turned + t, goal)
@@ -156,7 +164,12 @@ def _normal_equations(
 
 
 def _photometric(
-    R: jax.Array, t: jax.Array, source: Source, goal: GoalImage, level: int, moves: jax.Array
+    R: Float[Array, "3 3"],
+    t: Float[Array, " 3"],
+    source: Source,
+    goal: GoalImage,
+    level: int,
+    moves: Float[Array, " 6"],
 ) -> Equations:
     """The goal shows at each point what the patch showed there."""
     turned = source.points @ R.T
@@ -169,7 +182,7 @@ def _photometric(
     return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, residual)
 
 
-def _inside(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
+def _inside(uv: Float[Array, "N 2"], moved: Float[Array, "N 2 6"], goal: GoalImage) -> Equations:
     """No point of the model lies where the object is not."""
     distance, slope, near = _sample(goal.outside[..., None], uv)
     J = jnp.einsum("mcu,muk->mck", slope, moved)[:, 0]
@@ -179,7 +192,7 @@ def _inside(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
     return _weighted(J, residual, share * (residual > 0))
 
 
-def _outline(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
+def _outline(uv: Float[Array, "N 2"], moved: Float[Array, "N 2 6"], goal: GoalImage) -> Equations:
     """Every pixel of the object's outline has a point of the model close to it."""
     nearest = _nearest(goal.contour, uv)
     residual = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
@@ -187,16 +200,16 @@ def _outline(uv: jax.Array, moved: jax.Array, goal: GoalImage) -> Equations:
     return _weighted(J, residual, goal.contour_weight)
 
 
-def _contact(height: jax.Array, moved: jax.Array, rests: jax.Array) -> Equations:
-    """The lowest points, of (M,) heights with (M, 6) derivatives, are on the table."""
+def _contact(height: Float[Array, " N"], moved: Float[Array, "N 6"], rests: Float[Array, ""]) -> Equations:
+    """The lowest points, of heights with derivatives, are on the table."""
     low = jax.nn.softmax(-height / _CONTACT_M)
     J, residual = low @ moved, low @ height
     weight = rests / _CONTACT_M**2
     return weight * jnp.outer(J, J), weight * J * residual
 
 
-def _nearest(queries: jax.Array, points: jax.Array) -> jax.Array:
-    """(Q,) rows of the (P, 2) points nearest to (Q, 2) queries.
+def _nearest(queries: Float[Array, "Q 2"], points: Float[Array, "P 2"]) -> Int[Array, " Q"]:
+    """Rows of the points nearest to the queries.
 
     XLA's argmin is not vectorised on a CPU, its minimum of integers is, and takes a hundredth of the time: the bits of
     a distance that is not negative order as it does, and the last ones make room for the row.
@@ -207,13 +220,13 @@ def _nearest(queries: jax.Array, points: jax.Array) -> jax.Array:
     return ((distance & ~rows) | jnp.arange(len(points))).min(axis=1) & rows
 
 
-def _weighted(J: jax.Array, residual: jax.Array, weight: jax.Array) -> Equations:
-    """Equations of (M,) residuals in pixels, Geman-McClure weights."""
+def _weighted(J: Float[Array, "M 6"], residual: Float[Array, " M"], weight: Float[Array, " M"]) -> Equations:
+    """Equations of residuals in pixels, Geman-McClure weights."""
     robust = weight / (1 + (residual / _EDGE_REACH_PX) ** 2) ** 2 / _EDGE_SIGMA_PX**2
     return jnp.einsum("m,mk,ml->kl", robust, J, J), jnp.einsum("m,mk,m->k", robust, J, residual)
 
 
-def _correlation(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.Array:
+def _correlation(R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage) -> Float[Array, ""]:
     uv, _ = _project(source.points @ R.T + t, goal)
     value, _, inside = _sample(goal.values[-1], uv)
     weight = (inside * source.weights)[:, None]
@@ -222,7 +235,7 @@ def _correlation(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) ->
     return (a * b).sum() / jnp.sqrt(((a**2).sum() + 1) * (((source.values[-1] ** 2).sum(1) * source.weights).sum() + 1))
 
 
-def _spill(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.Array:
+def _spill(R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage) -> Float[Array, ""]:
     """Mean of the largest distances of the model off the object: a handle on the wrong side shows here."""
     uv, _ = _project(source.shape @ R.T + t, goal)
     distance, _, inside = _sample(goal.outside[..., None], uv)
@@ -230,8 +243,8 @@ def _spill(R: jax.Array, t: jax.Array, source: Source, goal: GoalImage) -> jax.A
     return jax.lax.top_k(off, max(len(off) // _SPILL_PART, 1))[0].mean()
 
 
-def _project(world: jax.Array, goal: GoalImage) -> tuple[jax.Array, jax.Array]:
-    """(M, 2) pixels of (M, 3) world points, and their (M, 2, 3) derivatives."""
+def _project(world: Float[Array, "M 3"], goal: GoalImage) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 3"]]:
+    """Pixels of world points, and their derivatives."""
     camera = world @ goal.R.T + goal.t
     z = jnp.maximum(camera[:, 2], 1e-2)
     focal = jnp.array([goal.K[0, 0], goal.K[1, 1]])
@@ -241,16 +254,16 @@ def _project(world: jax.Array, goal: GoalImage) -> tuple[jax.Array, jax.Array]:
     return flat * focal + goal.K[:2, 2], derivative @ goal.R
 
 
-def _motion(turned: jax.Array) -> jax.Array:
-    """(M, 3, 6) derivative of moved points by (turn, shift)."""
-    x, y, z = turned.T
-    zero = jnp.zeros_like(x)
-    turn = jnp.stack([jnp.stack([zero, z, -y], 1), jnp.stack([-z, zero, x], 1), jnp.stack([y, -x, zero], 1)], axis=1)
+def _motion(turned: Float[Array, "M 3"]) -> Float[Array, "M 3 6"]:
+    """Derivative of moved points by (turn, shift)."""
+    turn = skew(-turned)
     return jnp.concatenate([turn, jnp.broadcast_to(jnp.eye(3), turn.shape)], axis=2)
 
 
-def _sample(image: jax.Array, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Bilinear (M, C) values and (M, C, 2) gradients of an (S, S, C) image, and (M,) 1 where inside."""
+def _sample(
+    image: Float[Array, "S S C"], uv: Float[Array, "M 2"]
+) -> tuple[Float[Array, "M C"], Float[Array, "M C 2"], Float[Array, " M"]]:
+    """Bilinear values and gradients of an image, and 1 where inside."""
     size = image.shape[0]
     inside = ((uv >= 0) & (uv < size - 1.001)).all(axis=1)
     safe = jnp.where(inside[:, None], uv, 0.0)
@@ -264,5 +277,5 @@ def _sample(image: jax.Array, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.
     return top + fy * (bottom - top), gradient, inside.astype(jnp.float32)
 
 
-def _clipped(step: jax.Array, most: float) -> jax.Array:
+def _clipped(step: Float[Array, " 3"], most: float) -> Float[Array, " 3"]:
     return step * jnp.minimum(1.0, most / jnp.maximum(jnp.linalg.norm(step), 1e-12))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from toolkit.geometry import cubes
 from toolkit.perception.fusion import FusedModel, Patch
 from toolkit.perception.lighting import relit
 from toolkit.perception.refiners.comparing.images import normalized, opponent
@@ -142,14 +143,13 @@ def _bottom(points: Float, table: float) -> Float:
 
 
 def _evenly(points: Float, want: int) -> np.ndarray:
-    """(want,) rows of (N, 3) points, one a cube as far as they go round: oblique views leave fewer points behind."""
+    """(want,) rows of (N, 3) points, one per cube as far as they go round: oblique views leave fewer points behind."""
     if len(points) <= want:
         return np.arange(want) % len(points)
     order = np.random.default_rng(0).permutation(len(points))
     side, offset = _FINEST_M, points[order] - points.min(axis=0)
     while True:
-        cubes = np.floor(offset / side).astype(np.int64) @ [1, 1 << 20, 1 << 40]
-        first = np.unique(cubes, return_index=True)[1]
+        first = np.unique(cubes(offset, side), return_index=True)[1]
         if len(first) <= want:
             break
         side *= 1.2

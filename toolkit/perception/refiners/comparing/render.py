@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
 
 from toolkit.perception.refiners.comparing.cloud import FACING_AWAY
 
@@ -23,18 +25,18 @@ class GoalGrid(NamedTuple):
     """The goal image around one object, resampled to GRID x GRID cells.
 
     Attributes:
-        color: (G, G, 3) float32 opponent colours.
-        mask: (G, G) float32, the object.
-        hidden: (G, G) float32, where another object may hide it.
-        scale: () cells a pixel.
-        origin: (2,) pixel of the corner of the first cell.
+        color: opponent colours.
+        mask: 1 where the object is.
+        hidden: 1 where another object may hide it.
+        scale: cells for each pixel.
+        origin: pixel of the corner of the first cell.
     """
 
-    color: jax.Array
-    mask: jax.Array
-    hidden: jax.Array
-    scale: jax.Array
-    origin: jax.Array
+    color: Float[Array, "G G 3"]
+    mask: Float[Array, "G G"]
+    hidden: Float[Array, "G G"]
+    scale: Float[Array, ""]
+    origin: Float[Array, " 2"]
 
 
 class Score(NamedTuple):
@@ -48,29 +50,29 @@ class Score(NamedTuple):
         color: mean difference of colours there, as a part of full contrast.
     """
 
-    total: jax.Array
-    iou: jax.Array
-    known: jax.Array
-    correlation: jax.Array
-    color: jax.Array
+    total: Float[Array, "*batch"]
+    iou: Float[Array, "*batch"]
+    known: Float[Array, "*batch"]
+    correlation: Float[Array, "*batch"]
+    color: Float[Array, "*batch"]
 
 
 @jax.jit
 def score_poses(
-    points: jax.Array,
-    normals: jax.Array,
-    colors: jax.Array,
-    valid: jax.Array,
-    known: jax.Array,
-    K: jax.Array,
-    poses: jax.Array,
-    shade: jax.Array,
+    points: Float[Array, "N 3"],
+    normals: Float[Array, "N 3"],
+    colors: Float[Array, "N 3"],
+    valid: Bool[Array, " N"],
+    known: Bool[Array, " N"],
+    K: Float[Array, "3 3"],
+    poses: Float[Array, "B 4 4"],
+    shade: Float[Array, "B N"],
     goal: GoalGrid,
 ) -> Score:
-    """Score (B, 4, 4) poses T_camera_model of (N, 3) points with (N, 3) outward normals and opponent colours.
+    """Score poses T_camera_model of points (metres) with outward normals and opponent colours.
 
-    Only the (N,) `valid` points count; (B, N) `shade` is the factor of their brightness in every pose. What is not
-    `known` (N,), or seen from behind, belongs to the silhouette but has no colour.
+    Only `valid` points count; `shade` is the factor of their brightness in every pose. What is not `known`, or seen
+    from behind, belongs to the silhouette but has no colour.
     """
     return jax.vmap(
         lambda pose, factor: _score(points, normals, colors * factor[:, None], valid, known, K, pose, goal)
@@ -78,13 +80,13 @@ def score_poses(
 
 
 def _score(
-    points: jax.Array,
-    normals: jax.Array,
-    colors: jax.Array,
-    valid: jax.Array,
-    known: jax.Array,
-    K: jax.Array,
-    pose: jax.Array,
+    points: Float[Array, "N 3"],
+    normals: Float[Array, "N 3"],
+    colors: Float[Array, "N 3"],
+    valid: Bool[Array, " N"],
+    known: Bool[Array, " N"],
+    K: Float[Array, "3 3"],
+    pose: Float[Array, "4 4"],
     goal: GoalGrid,
 ) -> Score:
     camera = points @ pose[:3, :3].T + pose[:3, 3]
@@ -115,8 +117,10 @@ def _score(
     return Score(iou + share * (correlation - difference), iou, share, correlation, difference)
 
 
-def _agreement(a: jax.Array, b: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Correlation of locally centred (G, G, 3) colours, and mean difference of the colours, over (G, G) weights."""
+def _agreement(
+    a: Float[Array, "G G 3"], b: Float[Array, "G G 3"], weight: Float[Array, "G G"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Correlation of locally centred colours, and mean difference of the colours, both weighted."""
     count = jnp.maximum(weight.sum(), 1)
     local_a, local_b = _centered(a, weight), _centered(b, weight)
     # Noise in both: where there is no texture, nothing correlates and nothing contradicts.
@@ -126,16 +130,16 @@ def _agreement(a: jax.Array, b: jax.Array, weight: jax.Array) -> tuple[jax.Array
     return correlation, (gap.sum(axis=-1) * weight).sum() / count / 128
 
 
-def _centered(image: jax.Array, weight: jax.Array) -> jax.Array:
+def _centered(image: Float[Array, "G G 3"], weight: Float[Array, "G G"]) -> Float[Array, "G G 3"]:
     total, share = _box(image * weight[..., None]), _box(weight[..., None])
     return (image - total / jnp.maximum(share, 1e-6)) * weight[..., None]
 
 
-def _box(image: jax.Array) -> jax.Array:
+def _box(image: Float[Array, "G G C"]) -> Float[Array, "G G C"]:
     size = 2 * _BLUR_CELLS + 1
     rows = jax.lax.reduce_window(image, 0.0, jax.lax.add, (size, 1, 1), (1, 1, 1), "SAME")
     return jax.lax.reduce_window(rows, 0.0, jax.lax.add, (1, size, 1), (1, 1, 1), "SAME")
 
 
-def _most(image: jax.Array) -> jax.Array:
+def _most(image: Float[Array, "G G"]) -> Float[Array, "G G"]:
     return jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")

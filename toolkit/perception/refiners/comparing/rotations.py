@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from toolkit.geometry import cubes
 from toolkit.types import Float
 
 _HULL_M = 0.003
@@ -58,7 +59,8 @@ def _stable(points: Float) -> Float:
 
     A rest is likely as the part of all directions, seen from the centre of mass, that its side of the hull takes up.
     """
-    _, first = np.unique(np.floor(points / _HULL_M).astype(np.int64), axis=0, return_index=True)
+    # By x first, since the hull's triangles follow the order of its points.
+    _, first = np.unique(cubes(points[:, ::-1], _HULL_M), return_index=True)
     try:
         hull = trimesh.convex.convex_hull(points[first])
     except QhullError:
@@ -109,7 +111,4 @@ def _fibonacci(count: int) -> Float:
 
 def _shortest_to_vertical(up: Float) -> Float:
     """(3, 3) turn about a horizontal axis that takes a (3,) unit vector to the vertical."""
-    axis = np.array([up[1], -up[0], 0.0])
-    sine = np.linalg.norm(axis)
-    axis = axis / sine if sine > 1e-9 else np.array([1.0, 0.0, 0.0])
-    return Rotation.from_rotvec(axis * np.arctan2(sine, up[2])).as_matrix()
+    return Rotation.align_vectors([0.0, 0.0, 1.0], up)[0].as_matrix()

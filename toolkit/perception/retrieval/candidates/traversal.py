@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from toolkit.perception.stages import Traversal
 from toolkit.types import Float
 
 Distance = Callable[[Float, Float], Float]
 
 
-class PrunedTraversal:
+class PrunedTraversal(Traversal):
     """Candidates in a given order; a rejection deletes the waiting ones that look from a similar direction.
 
     Args:

@@ -20,7 +20,6 @@ _MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 _DEVIATION = np.array([58.395, 57.12, 57.375], np.float32)
 _STABILITY_MARGIN = 1.0
 _INSIDE, _PADDING = 1.0, -1.0
-_TOP_LEFT, _BOTTOM_RIGHT = 2.0, 3.0
 _ENCODER_INPUTS = {"input"}
 _DECODER_INPUTS = {"image_embeddings", "point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
 
@@ -85,12 +84,6 @@ class Sam:
         # The decoder wants one more point where there is no box.
         coordinates = np.concatenate([np.asarray(points, np.float32), np.zeros((1, 2), np.float32)])
         return self._decode(image, coordinates, [*[_INSIDE] * len(points), _PADDING])
-
-    def in_box(self, image: EncodedImage, box: tuple[int, int, int, int], points: Float) -> SamMask:
-        """The mask that fills a box (x0, y0, x1, y1, inclusive) and that (N, 2) pixels lie in."""
-        corners = np.array(box, np.float32).reshape(2, 2) + np.array([[-0.5], [0.5]], np.float32)
-        coordinates = np.concatenate([np.asarray(points, np.float32), corners])
-        return self._decode(image, coordinates, [*[_INSIDE] * len(points), _TOP_LEFT, _BOTTOM_RIGHT])
 
     def _decode(self, image: EncodedImage, coordinates: Float, labels: list[float]) -> SamMask:
         # The decoder adds half a pixel itself, after the scaling.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import invert
+from toolkit.perception.robust import deviation
 from toolkit.perception.tabletop.labels import keep, nearest_label
 from toolkit.perception.tabletop.plane import Plane, pixel_rays
 from toolkit.perception.tabletop.table import Table
@@ -70,7 +71,7 @@ def _smooth_heights(plane: Plane, rays: Float, depth: Float) -> tuple[Float, flo
     weight = cv2.GaussianBlur(measured, (0, 0), _SMOOTH_PX)
     heights = np.where(weight > 0.05, total / np.maximum(weight, 0.05), 0)
     table = heights[(np.abs(raw) < 3 * plane.noise * plane.camera_height * depth) & (depth > 0)]
-    return heights, float(1.4826 * np.median(np.abs(table))) if len(table) else 0.0
+    return heights, float(deviation(table)) if len(table) else 0.0
 
 
 def _footprint(frame: Frame, plane: Plane, core: Mask) -> float:

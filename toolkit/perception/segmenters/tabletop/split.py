@@ -88,7 +88,7 @@ def _likelihood(looks: Float, bins: NDArray[np.int64]) -> Float:
 
 
 def _explained(scores: list[Float]) -> float:
-    """The greatest sum of one score a blob, no object used twice."""
+    """The greatest sum of one score per blob, no object used twice."""
     table = np.array(scores)
     rows, columns = linear_sum_assignment(table, maximize=True)
     return float(table[rows, columns].sum())

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Associator
 from toolkit.types import Float, Frame, Region
 
 
@@ -18,13 +19,11 @@ class TemplateConfig(PluginConfig):
     radius_m: float = Field(0.08, gt=0, description="Regions whose centres are nearer than this are one object.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Associator):
     """Gives every region to the first object within a radius, or begins a new one."""
 
     stage = "associator"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def associate(self, regions: Sequence[Region], frames: Sequence[Frame]) -> NDArray[np.int64]:
         """Return (R,) int64 instance ids 0..K-1, numbered by first occurrence."""

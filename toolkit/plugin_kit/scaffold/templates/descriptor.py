@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Descriptor
 from toolkit.types import Crop, Float
 
 
@@ -18,14 +19,15 @@ class TemplateConfig(PluginConfig):
     side: int = Field(8, ge=2, le=32, description="Side of the small picture, pixels.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Descriptor):
     """Thumbnail: the crop shrunk to a few pixels, its colours as one vector of unit length."""
 
     stage = "descriptor"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
-    crop_size = 96
+
+    @property
+    def crop_size(self) -> int:
+        return 96
 
     def describe(self, crops: Sequence[Crop]) -> Float:
         """Return (N, 3 * side^2 + 1) float32 rows of unit length."""

@@ -19,15 +19,13 @@ class TemplateConfig(KinematicConfig):
     slip_mm: float = Field(2.0, ge=0, description="Standard deviation of where an object is put, an axis.")
 
 
-class Template(Kinematic):
+class Template(Kinematic[TemplateConfig]):
     """The kinematic simulator with placement errors; those of one task are the same every time."""
 
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def begin(self, task: TabletopScene) -> Frame:
-        """Take up a task and return its goal image; see toolkit.stages.Executor."""
+        """Take up a task and return its goal image."""
         self._rng = np.random.default_rng(task.number)
         return super().begin(task)
 

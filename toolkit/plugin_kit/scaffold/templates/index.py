@@ -8,6 +8,7 @@ from pydantic import Field
 
 from toolkit.errors import ToolkitError
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Index
 from toolkit.types import Float
 
 
@@ -17,13 +18,11 @@ class TemplateConfig(PluginConfig):
     block: int = Field(256, ge=1, description="Queries compared at a time.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Index):
     """Exact inner-product search in NumPy, a block of queries at a time."""
 
     stage = "index"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     _vectors: Float | None = None
 

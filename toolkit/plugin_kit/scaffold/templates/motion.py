@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from pydantic import Field
 
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, shortcut
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import MotionPlanner
 from toolkit.types import Failure, Float
 
 
@@ -20,13 +23,11 @@ class TemplateConfig(PluginConfig):
     goal_share: float = Field(0.2, gt=0, le=1, description="How often the tree grows towards the goal.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], MotionPlanner):
     """RRT (LaValle, 1998) with shortcuts."""
 
     stage = "motion"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a free path from start to goal, or a Failure that says why not."""
@@ -35,7 +36,8 @@ class Template(Plugin):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")
         c, rng = self.config, np.random.default_rng(seed)
         nodes, parents = [problem.start], [0]
-        while len(nodes) < c.nodes:
+        end = time.process_time() + problem.time_s
+        while len(nodes) < c.nodes and time.process_time() < end:
             towards_goal = rng.random() < c.goal_share
             target = problem.goal if towards_goal else rng.uniform(problem.lower, problem.upper)
             nearest = int(np.linalg.norm(np.array(nodes) - target, axis=1).argmin())
@@ -52,4 +54,4 @@ class Template(Plugin):
                 while path[-1]:
                     path.append(parents[path[-1]])
                 return shortcut(np.array([nodes[i] for i in reversed(path)]), problem.free, c.step_rad, 60, rng)
-        return Failure("motion", f"no motion was found among {c.nodes} poses")
+        return Failure("motion", f"no motion was found among {len(nodes)} poses")

@@ -19,12 +19,10 @@ class TemplateConfig(PnPConfig):
     polish: bool = Field(True, description="Settle the pose on its inliers by least squares.")
 
 
-class Template(RobustPnP):
+class Template(RobustPnP[TemplateConfig]):
     """MAGSAC++ (Barath et al., CVPR 2020). RobustPnP counts inliers and turns what is degenerate into Failures."""
 
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def find_pose(self, problem: Correspondences, seed: int) -> Float | None:
         """Return a (4, 4) T_camera_world that takes the problem's points into the goal camera; None without one."""

@@ -8,6 +8,7 @@ from pydantic import Field
 from toolkit.geometry import invert, project, transform_points
 from toolkit.perception.fusion import RefineTask
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Refiner
 from toolkit.types import Abstention, Failure, Float, Refined
 
 
@@ -19,16 +20,14 @@ class TemplateConfig(PluginConfig):
     )
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Refiner):
     """Verifies PnP's motion: the share of the moved model's points that fall into the object's mask in the goal."""
 
     stage = "refiner"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def refine(self, task: RefineTask) -> Refined | Failure:
-        """Return the first start as it is, with that share as its confidence; see toolkit.stages.Refiner."""
+        """Return the first start as it is, with that share as its confidence."""
         if not task.starts:
             return Failure("refiner", "there is no motion to verify")
         model = task.models.get(task.instance)

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from toolkit.geometry import lift
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Registration
 from toolkit.types import Frame
 
 
@@ -19,13 +20,11 @@ class TemplateConfig(PluginConfig):
     most_mm: float = Field(10.0, ge=0, description="A camera is moved by no more than this.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Registration):
     """Brings the table, which is where most points are, to one height in all frames; z is up in the world."""
 
     stage = "registration"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def register(self, frames: Sequence[Frame]) -> list[Frame]:
         """Return the current frames with cameras moved along z."""

@@ -7,16 +7,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Retriever, Traversal
 from toolkit.types import Float
 
 
 class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
-    most: int = Field(16, ge=1, description="Candidates tried at most.")
+    most: int = Field(16, ge=1, description="Largest number of candidates that are tried.")
 
 
-class Candidates:
+class Candidates(Traversal):
     """One goal object's candidates, in a fixed order; what is rejected changes nothing about the others."""
 
     def __init__(self, order: list[int]) -> None:
@@ -31,14 +32,12 @@ class Candidates:
         """Nothing is skipped."""
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Retriever):
     """Tries the most similar regions in their order."""
 
     stage = "retriever"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def start(self, ranking: NDArray[np.int64], instances: NDArray[np.int64], observations: Float) -> Candidates:
-        """Begin the traversal for one goal object; see toolkit.stages.Retriever."""
+        """Begin the traversal for one goal object."""
         return Candidates(ranking[: self.config.most].tolist())

@@ -11,6 +11,7 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.geometry import lift
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Segmenter
 from toolkit.types import Frame, Segment
 
 
@@ -18,16 +19,14 @@ class TemplateConfig(PluginConfig):
     """Settings of `template`."""
 
     min_height_m: float = Field(0.006, gt=0, description="Lower points belong to the table.")
-    min_pixels: int = Field(60, ge=1, description="Smaller segments are dropped.")
+    min_pixels: int = Field(60, ge=1, description="Segments with fewer pixels are dropped.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Segmenter):
     """Connected pixels above the table, whose height is that of most points; z is up in the world. Needs depth."""
 
     stage = "segmenter"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def segment(self, frame: Frame, current: Sequence[Frame]) -> list[Segment]:
         """Return one Segment an object, from left to right; raises ToolkitError where the frame has no depth."""

@@ -1,1 +1,1 @@
-"""What an arm does with an object in its hand."""
+"""How an arm moves an object: IK and straight lines, whole ways among objects, carrying them out, and filming it."""

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.geometry import make_transform, rotation_angle
-from toolkit.rearrangement.grasps.geometry.gripper import Gripper, lowest, points_in_boxes
+from toolkit.rearrangement.grasps.geometry.gripper import boxes_of, lowest, points_in_boxes
 from toolkit.rearrangement.grasps.geometry.surface import thin_out
-from toolkit.rearrangement.moves import Grasp, PickPlace
+from toolkit.rearrangement.moves import Grasp, GraspRequest
 from toolkit.registry import PluginConfig
-from toolkit.types import Failure, Float
+from toolkit.types import Failure, Float, Gripper
 
 _SPACING_M = 0.003
 _OTHERS_SPACING_M = 0.005
@@ -34,25 +34,22 @@ _ALIKE_M, _ALIKE_RAD = 0.01, np.radians(20)
 class RoomConfig(PluginConfig):
     """What every grasper that checks for room is told."""
 
-    gripper: Gripper = Field(Gripper(), description="Measures; by default about a Robotiq 2F-85's.")
     spare_m: float = Field(0.005, ge=0, description="Room on each side of the object when the open gripper comes.")
     depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
     tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
-    approach_m: float = Field(0.08, ge=0, description="Way along which the gripper comes and goes.")
     table_z_m: float = Field(0.0, description="Height of the table.")
     table_gap_m: float = Field(0.003, ge=0, description="Least height of the gripper above it.")
     keep: int = Field(20, ge=1, description="Grasps returned at most.")
 
-    @property
-    def widest_m(self) -> float:
-        """Longest distance of two contacts."""
-        return self.gripper.stroke_m - 2 * self.spare_m
+    def widest_m(self, gripper: Gripper) -> float:
+        """Longest distance of two contacts, metres."""
+        return gripper.stroke_m - 2 * self.spare_m
 
 
 NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's other parts or another object")
 
 
-def evenly_seen(request: PickPlace) -> PickPlace | Failure:
+def evenly_seen(request: GraspRequest) -> GraspRequest | Failure:
     """The request with its points spread evenly; a Failure where too few of the object were seen."""
     points = np.asarray(request.points, np.float64)
     points = thin_out(points, _SPACING_M) if len(points) else points
@@ -83,10 +80,10 @@ def grasps_on(a: Float, b: Float, approach: Float, score: float, config: RoomCon
     opening = float(np.linalg.norm(b - a)) + 2 * config.spare_m
     # Flat objects leave no room below: their contacts are taken with the very tips.
     for depth, worth in ((config.depth_m, 1.0), (0.3 * config.depth_m, 0.5)):
-        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, worth * score)
+        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, config.spare_m, worth * score)
 
 
-def first_with_room(candidates: Iterable[Grasp], request: PickPlace, config: RoomConfig) -> list[Grasp]:
+def first_with_room(candidates: Iterable[Grasp], request: GraspRequest, config: RoomConfig) -> list[Grasp]:
     """Up to `keep` candidates that touch nothing and differ from each other, best first; `tries` are checked at most.
 
     `request` is evenly seen.
@@ -110,12 +107,12 @@ def _alike(a: Grasp, b: Grasp) -> bool:
     return apart < _ALIKE_M and float(rotation_angle(one[:3, :3] @ other[:3, :3].T)) < _ALIKE_RAD
 
 
-def _has_room(grasp: Grasp, request: PickPlace, config: RoomConfig) -> bool:
+def _has_room(grasp: Grasp, request: GraspRequest, config: RoomConfig) -> bool:
     """Here and where it lets go: above the table, nothing between the fingers' outsides, a free way in and out."""
-    boxes = config.gripper.boxes(grasp.opening)
+    boxes = boxes_of(request.gripper, grasp.opening)
     for T in (grasp.T_world_gripper, grasp.placed(request.T_place_pick)):
         if lowest(T, boxes) < config.table_z_m + config.table_gap_m:
             return False
-        if points_in_boxes(request.others, T, boxes, config.approach_m) > 0:
+        if points_in_boxes(request.others, T, boxes, request.approach_m) > 0:
             return False
-    return points_in_boxes(request.points, grasp.T_world_gripper, boxes, config.approach_m) <= _STRAY_POINTS
+    return points_in_boxes(request.points, grasp.T_world_gripper, boxes, request.approach_m) <= _STRAY_POINTS

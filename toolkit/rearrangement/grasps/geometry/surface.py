@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from toolkit.geometry import cubes, group_means
 from toolkit.types import Float
 
 _NEIGHBOURS = 16
@@ -49,11 +50,10 @@ def wall_pairs(points: Float, directions: Float, count: int, rng: np.random.Gene
 
 
 def thin_out(points: Float, spacing: float) -> Float:
-    """(M, 3) means of (N, 3) points over cells of a grid."""
-    cells = np.floor((points - points.min(axis=0)) / spacing).astype(np.int64)
-    _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(inverse.ravel(), column, len(counts)) for column in points.T], axis=1)
-    return sums / counts[:, None]
+    """(M, 3) means of (N, 3) points over the cubes of a grid, by rising x, then y, then z."""
+    cells = cubes((points - points.min(axis=0))[:, ::-1], spacing)
+    _, inverse, counts = np.unique(cells, return_inverse=True, return_counts=True)
+    return group_means(points, inverse, counts)
 
 
 def normals(points: Float) -> Float:

@@ -10,7 +10,7 @@ import numpy as np
 from toolkit.types import Float
 
 EXACT_UP_TO = 12
-"""Moves that are ordered exactly: the table of Held and Karp has 2^n rows."""
+"""Moves that are ordered exactly: Held and Karp look at 2^n sets of them."""
 
 
 def shortest_order(picks: Float, places: Float, before: Sequence[int]) -> list[int]:

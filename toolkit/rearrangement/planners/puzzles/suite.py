@@ -1,4 +1,4 @@
-"""Rearrangement puzzles that cannot be solved by moving every object once: swaps, cycles, dense tables."""
+"""Rearrangement puzzles that cannot be solved by moving every object once: swaps, cycles, dense layouts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from toolkit.geometry import make_transform, rotation_z, transform_points
 from toolkit.rearrangement.footprints import Footprint, gaps, supports
-from toolkit.rearrangement.moves import Item, Table
+from toolkit.rearrangement.moves import Item, Layout
 from toolkit.types import Float
 
 _AREA_RADIUS_M = 0.40
@@ -23,20 +23,20 @@ _RESTARTS = 200
 
 @dataclass(frozen=True)
 class Puzzle:
-    """A table to rearrange.
+    """A layout to rearrange.
 
     Attributes:
         kind: swaps, cycles of 3, cycles of 4, or dense.
-        table: its items all have goals that do not overlap.
+        layout: its items all have goals that do not overlap.
     """
 
     kind: str
-    table: Table
+    layout: Layout
 
     @property
     def name(self) -> str:
         """Kind and number of objects."""
-        return f"{self.kind}, {len(self.table.items)}"
+        return f"{self.kind}, {len(self.layout.items)}"
 
 
 def suite(seed: int, repeats: int = 10) -> list[Puzzle]:
@@ -59,21 +59,21 @@ def suite(seed: int, repeats: int = 10) -> list[Puzzle]:
     return puzzles
 
 
-def cycles(count: int, length: int, rng: np.random.Generator) -> Table:
+def cycles(count: int, length: int, rng: np.random.Generator) -> Layout:
     """`count` objects of like size in cycles of `length`: each one's goal is the place of the next in its cycle."""
     size = 0.45 * np.sqrt(0.25 * _AREA_RADIUS_M**2 / count)
     shapes = [_box(rng, size, spread=0.1) for _ in range(count)]
     current = _arrange(shapes, rng)
     following = [i - i % length + (i + 1) % length for i in range(count)]
     goals = [(current[j][0], current[j][1] + rng.uniform(-0.2, 0.2)) for j in following]
-    return _table(shapes, current, goals)
+    return _layout(shapes, current, goals)
 
 
-def dense(count: int, rng: np.random.Generator, fill: float = 0.25) -> Table:
+def dense(count: int, rng: np.random.Generator, fill: float = 0.25) -> Layout:
     """`count` boxes of many sizes that cover a share `fill` of the area, before and after at independent places."""
     size = np.sqrt(fill * np.pi * _AREA_RADIUS_M**2 / count) / 2
     shapes = [_box(rng, size, spread=0.4) for _ in range(count)]
-    return _table(shapes, _arrange(shapes, rng), _arrange(shapes, rng))
+    return _layout(shapes, _arrange(shapes, rng), _arrange(shapes, rng))
 
 
 Pose = tuple[Float, float]
@@ -120,10 +120,10 @@ def _place(shape: Float, taken: Sequence[Footprint], rng: np.random.Generator) -
     return None
 
 
-def _table(shapes: Sequence[Float], current: Sequence[Pose], goals: Sequence[Pose]) -> Table:
+def _layout(shapes: Sequence[Float], current: Sequence[Pose], goals: Sequence[Pose]) -> Layout:
     items: list[Item] = []
     for i, (shape, before, after) in enumerate(zip(shapes, current, goals, strict=True)):
         T_before, T_after = _pose(before), _pose(after)
         motion = T_after @ np.linalg.inv(T_before)
         items.append(Item.seen(i, transform_points(T_before, shape), motion))
-    return Table(tuple(items), radius=_TABLE_RADIUS_M)
+    return Layout(tuple(items), radius=_TABLE_RADIUS_M)

@@ -1,0 +1,64 @@
+"""`toolkit ablate` and `toolkit rearrange`: experiments."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from toolkit.cli.console import bars
+from toolkit.cli.options import (
+    ExperimentArgument,
+    read_experiment,
+    run_options,
+    with_experiment_options,
+    with_run_options,
+)
+from toolkit.cli.results import show_run
+from toolkit.slots import REARRANGE_SLOTS, SLOTS
+
+app = typer.Typer()
+
+
+@app.command()
+@with_experiment_options
+@with_run_options
+def ablate(
+    experiment: ExperimentArgument = "quick",
+    attribute: Annotated[
+        bool, typer.Option("--attribute", help="Put the truth in the place of one stage at a time: what each costs.")
+    ] = False,
+    *,
+    choices: dict[str, Any],
+    run: dict[str, Any],
+) -> None:
+    """Run an experiment's cells on the same scenes, print the table and write rows and a report."""
+    from toolkit.harness.ablate import Ablation
+    from toolkit.harness.attribution import attribution
+    from toolkit.harness.drive import drive
+
+    options = run_options(choices, **run)
+    loaded = read_experiment(experiment, choices)
+    show_run(drive(Ablation(), attribution(loaded) if attribute else loaded, options, bars()))
+
+
+@app.command()
+@partial(with_experiment_options, slots=(*SLOTS, *REARRANGE_SLOTS))
+@with_run_options
+def rearrange(
+    experiment: ExperimentArgument = "rearrange",
+    film: Annotated[
+        bool, typer.Option("--film", help="Film the first scene: film.mp4, and film.rrd where rerun is installed.")
+    ] = False,
+    *,
+    choices: dict[str, Any],
+    run: dict[str, Any],
+) -> None:
+    """Perceive, plan and move in simulation until every object stands at its goal; print how often that works."""
+    from toolkit.harness.drive import drive
+    from toolkit.harness.rearrange import Rearrangement
+
+    options = run_options(choices, **run)
+    loaded = read_experiment(experiment, choices, rearranges=True)
+    show_run(drive(Rearrangement(film), loaded, options, bars()))

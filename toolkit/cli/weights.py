@@ -1,0 +1,55 @@
+"""`toolkit weights`: checkpoints."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from toolkit.cli.console import say
+
+app = typer.Typer()
+weights_app = typer.Typer(help="Checkpoints of the learned stages.", no_args_is_help=True)
+app.add_typer(weights_app, name="weights")
+
+
+@weights_app.command("list")
+def weights_list() -> None:
+    """List every checkpoint: its licence, its size, and whether this machine has it."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from toolkit.weights.cards import CARDS
+    from toolkit.weights.resolve import find_weights
+
+    table = Table("name", "what it is", "licence", "MB", "here")
+    for name, card in sorted(CARDS.items()):
+        licence = Text.assemble(card.licence, (" (non-commercial)" * card.non_commercial, "red"))
+        table.add_row(name, card.architecture, licence, f"{card.size_mb:.1f}", "yes" if find_weights(card) else "no")
+    say(table)
+
+
+@weights_app.command("pull")
+def weights_pull(names: Annotated[list[str], typer.Argument(help="Names from `toolkit weights list`.")]) -> None:
+    """Fetch checkpoints that this machine lacks, check their digests, and say where they lie."""
+    from toolkit.weights.resolve import find_card, resolve_weights
+
+    for name in names:
+        find_card(name)
+    for name in names:
+        say(f"{name}: {resolve_weights(name)}")
+
+
+@weights_app.command("where")
+def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit weights list`.")]) -> None:
+    """Say where a checkpoint lies, or where it is looked for and what it is fetched from."""
+    from toolkit.weights.resolve import find_card, find_weights, weight_folders
+
+    card = find_card(name)
+    found = find_weights(card)
+    if found is None:
+        folders = " or ".join(f"'{folder}'" for folder in weight_folders())
+        say(f"not on this machine; looked for {card.file} in {folders}", *card.sources)
+    else:
+        say(str(found))
+    say(card.citation)

@@ -1,0 +1,143 @@
+"""Processes on this machine, by the standard library: they live, and stay warm, as long as the run.
+
+The backend is called loky for what once started them. That one ends a process that has grown by 300 MB (joblib 1.6) and
+warns of it, and the next one has to load every network again.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
+from typing import Any, TypeVar
+
+from toolkit.parallel.call import LOSSES, call, gave_up
+from toolkit.parallel.interrupts import without_interrupts
+
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
+
+_ONE_THREAD: dict[str, Any] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""One thread per process, or the workers fight for cores."""
+
+_NO_MAIN = {"__main__": ModuleType("__main__")}
+
+
+@contextmanager
+def process_workers(count: int, prepare: Callable[[], None], say: Callable[[str], None]) -> Generator[ProcessWorkers]:
+    """`count` processes, started when they are first needed; an exception that leaves the block ends them at once."""
+    workers = ProcessWorkers(count, prepare, say)
+    try:
+        yield workers
+    except BaseException:
+        workers.stop(at_once=True)
+        raise
+    workers.stop()
+
+
+class ProcessWorkers:
+    """`count` processes; where one is lost, all are started anew with the tasks that are left."""
+
+    def __init__(self, count: int, prepare: Callable[[], None], say: Callable[[str], None]) -> None:
+        self._count, self._prepare, self._say = count, prepare, say
+        self._pool: ProcessPoolExecutor | None = None
+        self._line: Connection | None = None
+
+    def map(self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]) -> Iterator[ResultT]:
+        """As `Workers.map`. A single task is done in this process."""
+        if len(tasks) < 2:
+            yield from map(function, tasks)
+            return
+        left = dict(enumerate(tasks))
+        lost = 0
+        while True:
+            before = len(left)
+            for number, result in self._results(function, left):
+                del left[number]
+                yield result
+            if not left:
+                return
+            self.stop(at_once=True)
+            lost = lost + 1 if len(left) == before else 1
+            if lost > LOSSES:
+                raise gave_up()
+            self._say(f"A worker process was lost; new ones do the {len(left)} of {len(tasks)} tasks that are left.")
+
+    def _results(
+        self, function: Callable[[TaskT], ResultT], tasks: Mapping[int, TaskT]
+    ) -> Iterator[tuple[int, ResultT]]:
+        """Results as they come, with the numbers of their tasks; fewer than tasks where a process is lost."""
+        pool = self._start()
+        numbers: dict[Future[ResultT], int] = {}
+        try:
+            with suppress(BrokenProcessPool):
+                for number, task in tasks.items():
+                    numbers[pool.submit(call, self._prepare, function, task)] = number
+            for future in as_completed(numbers):
+                if not isinstance(future.exception(), BrokenProcessPool):
+                    yield numbers[future], future.result()
+        finally:
+            for future in numbers:
+                future.cancel()
+
+    def _start(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            end, self._line = Pipe(duplex=False)
+            self._pool = ProcessPoolExecutor(self._count, _Context(), _hold, (end,))
+        return self._pool
+
+    def stop(self, *, at_once: bool = False) -> None:
+        """End the processes, in the middle of their tasks where that is asked for."""
+        if self._pool is None or self._line is None:
+            return
+        if at_once:
+            self._line.close()
+        self._pool.shutdown(cancel_futures=True)
+        self._line.close()
+        self._pool = self._line = None
+
+
+def _hold(line: Connection) -> None:
+    """End this process when the main one lets go of the line, also by being killed."""
+
+    def wait() -> None:
+        with suppress(EOFError, OSError):
+            line.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+class _Process(SpawnProcess):
+    """A process that does not run the main module, which is a user's script and may have no guard against that."""
+
+    def start(self) -> None:
+        with without_interrupts(), _replaced(os.environ, _ONE_THREAD), _replaced(sys.modules, _NO_MAIN):
+            super().start()
+
+
+class _Context(SpawnContext):
+    Process = _Process
+
+
+@contextmanager
+def _replaced(mapping: Any, entries: Mapping[str, Any]) -> Generator[None]:
+    """Other entries in a mapping meanwhile."""
+    before = {name: mapping.get(name) for name in entries}
+    mapping.update(entries)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del mapping[name]
+            else:
+                mapping[name] = value

@@ -1,0 +1,36 @@
+"""Table and arm as they are seen from beside the table, for films."""
+
+from __future__ import annotations
+
+from toolkit.data.cameras import filming_camera
+from toolkit.data.tabletop import Studio, TabletopScene
+from toolkit.paths import cache_root
+from toolkit.sim.bench import Bench
+from toolkit.sim.robot import Robot
+from toolkit.sim.robots import RobotModel
+from toolkit.types import Float, Image
+
+
+class FilmSet:
+    """Another table with the same objects, and an arm that has no weight but looks; close it after use.
+
+    Args:
+        task: what stands on the table.
+        model: the robot.
+        T_world_base: (4, 4) where it stands.
+    """
+
+    def __init__(self, task: TabletopScene, model: RobotModel, T_world_base: Float) -> None:
+        self._studio = Studio(task, cache_root())
+        self._camera = filming_camera(task.config.resolution)
+        self._robot = Robot(self._studio.client, model, T_world_base, pictures=True)
+
+    def picture(self, bench: Bench) -> Image:
+        """(H, W, 3) uint8, with everything where it is on a bench now."""
+        self._robot.set(bench.robot.q)
+        self._robot.set_drive(bench.robot.drive)
+        return self._studio.picture(self._camera, bench.poses())
+
+    def close(self) -> None:
+        """Leave the simulator."""
+        self._studio.close()

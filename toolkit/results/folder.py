@@ -1,0 +1,11 @@
+"""Names of the files in a run folder, runs/<name>/<time>/."""
+
+ROWS = "rows.jsonl"
+RESOLVED = "experiment.resolved.yaml"
+META = "meta.json"
+SUMMARY = "summary.csv"
+"""Written last of all figures: a run that has it has all its rows."""
+
+PAGE = "report.html"
+TABLE = "summary.md"
+"""The page's table, as Markdown."""
