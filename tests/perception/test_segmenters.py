@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, transform_points
-from toolkit.perception.segmenters.tabletop.clusters import inside_hull, table_hull
-from toolkit.perception.segmenters.tabletop.split import neck_cuts
+from toolkit.perception.segmenters.cutting.clusters import inside_hull, table_hull
+from toolkit.perception.segmenters.cutting.split import neck_cuts
 from toolkit.perception.tabletop.appearance import render_table, scan_table
 from toolkit.perception.tabletop.plane import fit_plane, pixel_rays
 from toolkit.plugin_kit.conformance import raycast

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
-from toolkit.perception.segmenters.tabletop.clusters import cluster_above_plane, is_noisy
+from toolkit.perception.segmenters.cutting.clusters import cluster_above_plane, is_noisy
 from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.labels import keep
 from toolkit.perception.tabletop.plane import fit_near

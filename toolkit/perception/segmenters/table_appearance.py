@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from toolkit.perception.segmenters.tabletop.blobs import find_blobs
-from toolkit.perception.segmenters.tabletop.looks import object_looks
-from toolkit.perception.segmenters.tabletop.split import split_touching
+from toolkit.perception.segmenters.cutting.blobs import find_blobs
+from toolkit.perception.segmenters.cutting.looks import object_looks
+from toolkit.perception.segmenters.cutting.split import split_touching
 from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.appearance import TableScan, render_table, scan_table
 from toolkit.perception.tabletop.difference import difference

@@ -63,7 +63,18 @@ class Test{class_name}(Conforms):
     plugin = {class_name}
 """
 
-_ABLATED = ("registration", "segmenter", "associator", "descriptor", "index", "retriever", "matcher", "pnp", "refiner")
+_ABLATED = (
+    "registration",
+    "segmenter",
+    "associator",
+    "explainer",
+    "descriptor",
+    "index",
+    "retriever",
+    "matcher",
+    "pnp",
+    "refiner",
+)
 _REARRANGED = ("planner", "executor")
 _BY_THE_ARM = ("grasp", "motion")
 

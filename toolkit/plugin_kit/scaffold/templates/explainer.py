@@ -9,6 +9,7 @@ from toolkit.geometry import invert, project
 from toolkit.perception.explanation import ExplainTask, Explanation, Placement
 from toolkit.perception.fusion import FusedModel
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.stages import Explainer
 from toolkit.types import Segment
 
 
@@ -18,13 +19,11 @@ class TemplateConfig(PluginConfig):
     most_levels: float = Field(20.0, gt=0, description="Grey levels by which an unmoved object's colours may differ.")
 
 
-class Template(Plugin):
+class Template(Plugin[TemplateConfig], Explainer):
     """Compares each model's colours with the goal's, where the model would be seen had it not been moved."""
 
     stage = "explainer"
     name = "template"
-    Config = TemplateConfig
-    config: TemplateConfig
 
     def explain(self, task: ExplainTask) -> Explanation:
         """Place what has not moved; a segment of the goal that shows none of it is unknown."""
