@@ -8,12 +8,12 @@ from pathlib import Path
 
 from pydantic import Field
 
+from toolkit.perception.segmenters.cutting.looks import object_looks
+from toolkit.perception.segmenters.cutting.split import split_touching
 from toolkit.perception.segmenters.depth_plane import cluster_labels
 from toolkit.perception.segmenters.networks.proposals import propose
 from toolkit.perception.segmenters.networks.sam import Sam
 from toolkit.perception.segmenters.table_appearance import blob_labels
-from toolkit.perception.segmenters.cutting.looks import object_looks
-from toolkit.perception.segmenters.cutting.split import split_touching
 from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.appearance import scan_table
 from toolkit.registry import Plugin, PluginConfig

@@ -20,15 +20,16 @@ _SMOOTH_BINS = 0.7
 _CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
 """A piece smaller than this, or than this part of its neighbour, is no object of its own."""
 
-_ALIKE, _MORE_ALIKE = 0.45, 0.5
-"""Histogram intersection of two pieces of one colour: where one lies within the other, and where they only touch."""
+_ALIKE, _WITHIN, _COMPACT = 0.45, 0.6, 1.25
+"""Pieces that do not touch are one object if their histograms intersect this much and one lies within the other."""
 
-_WITHIN, _COMPACT = 0.6, 1.25
-"""Share of a piece inside another's outline; and how much larger the outline of both is than theirs together."""
+_PER_DEGREE, _PER_ALIKE, _PER_WITHIN, _BIAS = -0.055, 4.1, 6.4, 1.8
+"""Logistic regression (experiments/benchmarks/joins.py): whether two pieces that touch are one object, by the mean
+angle along their border, how much their colour histograms intersect, and the share of one inside the other's outline.
+"""
 
-_BENT_DEG, _SHALLOW_DEG, _SMOOTH_DEG = 55.0, 42.0, 24.0
-"""Mean angle along a border that pieces of one colour may have where they make a compact whole, and where they need
-not; and one that is none whatever the colours."""
+_LIKELY = 0.8
+"""Two objects taken for one are lost; one taken for two is mended where both parts move alike."""
 
 _GAP_M, _PROBES = 0.02, 400
 """Pieces that do not touch are looked at together up to this far: a rim seen edge-on has no depth."""
@@ -154,15 +155,11 @@ def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
         return alike if alike > _ALIKE and _within(small.points, large.points) > _WITHIN else 0.0
     if small.area < _CRUMB_M2 or small.area < _CRUMB_SHARE * large.area:
         return 2 + border[0] / (1 + border[0])
-    angle = border[1] / border[0]
-    if angle < _SMOOTH_DEG:
-        return 1 + (_SMOOTH_DEG - angle) / _SMOOTH_DEG
-    one_colour = (
-        (alike > _MORE_ALIKE and angle < _SHALLOW_DEG)
-        or (alike > _MORE_ALIKE and angle < _BENT_DEG and _spread(a.points, b.points) < _COMPACT)
-        or (alike > _ALIKE and _within(small.points, large.points) > _WITHIN)
+    evidence = (
+        _PER_DEGREE * border[1] / border[0] + _PER_ALIKE * alike + _PER_WITHIN * _within(small.points, large.points)
     )
-    return alike if one_colour else 0.0
+    likely = float(1 / (1 + np.exp(-(evidence + _BIAS))))
+    return likely if likely > _LIKELY else 0.0
 
 
 def _gaps(known: list[_Piece]) -> dict[tuple[int, int], tuple[int, float]]:

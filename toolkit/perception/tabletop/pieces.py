@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import KDTree
 
 from toolkit.geometry import invert
 from toolkit.perception.tabletop.creases import smooth_parts
@@ -36,6 +37,9 @@ _LEAST_CORE_M2 = 1.5e-4
 
 _TOUCH_M = 0.04
 """What hovers higher than this above the table with all its visible parts does not stand on it."""
+
+_HANG_M = 0.03
+"""It may hang on what does stand, this far away: struts and rims are too thin to be measured."""
 
 _LEAST_OBJECT_M2 = 3e-4
 """Less surface than this, all frames together, is noise."""
@@ -239,9 +243,19 @@ def _seen_through(reliefs: Sequence[Relief], table: Table, voxels: Voxels) -> Ma
 def _standing(voxels: Voxels, there: Mask) -> Mask:
     """(V,) bool: of the voxels that are there, those that hang together down to the table."""
     whole = _connected(voxels.pairs, there)
-    lowest = np.full(len(there), np.inf)
+    count = int(whole.max(initial=-1)) + 1
+    lowest = np.full(count, np.inf)
     np.minimum.at(lowest, whole[there], voxels.center[there, 2])
-    return there & (lowest[whole] < _TOUCH_M)
+    stands = lowest < _TOUCH_M
+    hovers = there & ~np.append(stands, True)[whole]
+    while hovers.any():
+        ground = KDTree(voxels.center[there & ~hovers])
+        near = np.isfinite(ground.query(voxels.center[hovers], distance_upper_bound=_HANG_M)[0])
+        hung = np.unique(whole[hovers][near])
+        if not len(hung):
+            break
+        hovers &= ~np.isin(whole, hung)
+    return there & ~hovers
 
 
 def _cores(voxels: Voxels, there: Mask) -> NDArray[np.int64]:

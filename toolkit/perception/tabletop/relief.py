@@ -77,7 +77,8 @@ def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relie
     flat = solid & inside & (np.abs(raw) < 3 * spread)
     left = float(deviation(height[flat] / spread[flat])) if flat.any() else 1.0
     low, high = np.maximum(min_height, _LOW * left * spread), np.maximum(min_height, _HIGH * left * spread)
-    above = solid & (height > low) & (height < _TALLEST_M)
+    # Beside an object the table's smoothed height is in part the object's, but not the height that was measured.
+    above = solid & (height > low) & (height < _TALLEST_M) & (raw > low - 3 * spread)
     things = above & inside
     flat = solid & (np.abs(height) < low)
     unsure = ~measured | (~solid & (raw > low))

@@ -20,6 +20,12 @@ _FOREGROUND = 0.1
 """Places around which less of the image than this is foreground are not tried."""
 
 _DISTINCT_M = 0.04
+_STEP, _LEAST_STEP_M = 0.8, 0.008
+"""Places are no further apart than this part of the object's own radius, or they would step over small things."""
+
+_COARSE_PX = 5.0
+"""An object whose radius is less than this in the coarse image is looked for in the fine one."""
+
 _LEVELS = ((0.012, 0.13), (0.005, 0.05), (0.002, 0.02))
 """Steps in metres and radians by which a hypothesis is moved while it gains."""
 
@@ -50,7 +56,7 @@ class Searcher:
         camera: the goal image's.
         coarse: the image, for places all over the table.
         fine: the image, for the last millimetres.
-        step: metres between the places tried.
+        step: metres between the places tried, at most.
         yaws: turns tried at each.
         kept: hypotheses kept, besides that it was not moved.
     """
@@ -72,12 +78,14 @@ class Searcher:
         """Hypotheses of an instance, that it was not moved first; the others by falling score."""
         center = transform_to(self.table, model.center)
         still = Hypothesis(0.0, np.zeros(2))
-        places = self._places(center, _radius(model))
+        radius = _radius(model)
+        image = self._image(radius)
+        places = self._places(center, radius, image)
         found = [still]
         if len(places):
             turns = np.arange(self.yaws) * 2 * np.pi / self.yaws
             yaw, place = np.repeat(turns, len(places)), np.tile(places, (self.yaws, 1))
-            scores = score_motions(self._sample(model, _POINTS), yaw, place, self.coarse, self.T_camera_table)
+            scores = score_motions(self._sample(model, _POINTS), yaw, place, image, self.T_camera_table)
             by_yaw = scores.reshape(self.yaws, len(places))
             found += [
                 Hypothesis(float(turns[by_yaw[:, i].argmax()]), places[i, :2] - center[:2])
@@ -93,25 +101,30 @@ class Searcher:
         T = self.table.T_world_table
         return T @ planar @ invert(T)
 
-    def _places(self, center: Float, radius: float) -> Float:
+    def _image(self, radius: float) -> Evidence:
+        distance = float(np.linalg.norm(self.T_camera_table[:3, 3]))
+        return self.coarse if radius * self.coarse.K[0, 0] / distance > _COARSE_PX else self.fine
+
+    def _places(self, center: Float, radius: float, image: Evidence) -> Float:
         """(N, 3) places of the centre on the table around which the goal image shows something."""
         low, high = self.table.outline.min(axis=0), self.table.outline.max(axis=0)
-        x, y = (np.arange(a, b, self.step) for a, b in zip(low, high, strict=True))
+        step = min(self.step, max(_STEP * radius, _LEAST_STEP_M))
+        x, y = (np.arange(a, b, step) for a, b in zip(low, high, strict=True))
         plan = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         plan = plan[self.table.holds(plan)]
         places = np.column_stack([plan, np.full(len(plan), center[2])])
-        T, K = self.T_camera_table, self.coarse.K
+        T, K = self.T_camera_table, image.K
         camera = places @ T[:3, :3].T + T[:3, 3]
         ahead = camera[:, 2] > 1e-2
         places, camera = places[ahead], camera[ahead]
         pixels = np.rint(camera[:, :2] / camera[:, 2:] * np.diagonal(K)[:2] + K[:2, 2]).astype(np.int64)
-        height, width = self.coarse.background.shape
+        height, width = image.background.shape
         inside = (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
         places, camera, pixels = places[inside], camera[inside], pixels[inside]
         if not len(places):
             return places
         side = 2 * max(1, round(radius * K[0, 0] / float(np.median(camera[:, 2])))) + 1
-        foreground = (self.coarse.background > MOST_COST / 3).astype(np.float32)
+        foreground = (image.background > MOST_COST / 3).astype(np.float32)
         around = cv2.blur(foreground, (side, side), borderType=cv2.BORDER_CONSTANT)
         return places[around[pixels[:, 1], pixels[:, 0]] > _FOREGROUND]
 
