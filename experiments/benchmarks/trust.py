@@ -1,4 +1,4 @@
-"""Fit how far the `perch` explainer trusts its placements on folders of captures, and show on others how reliable it is.
+"""Fit how far `perch` trusts its placements on folders of captures, and show on others how reliable that is.
 
 toolkit dataset build train/wild --scenes 20 --seed 31 --set track=wild          (and crowded, d435, clean)
 toolkit dataset build test/wild --scenes 12 --seed 21 --set track=wild --objects ../shared/objects

@@ -23,10 +23,11 @@ _CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
 _ALIKE, _WITHIN, _COMPACT = 0.45, 0.6, 1.25
 """Pieces that do not touch are one object if their histograms intersect this much and one lies within the other."""
 
-_PER_DEGREE, _PER_ALIKE, _PER_WITHIN, _BIAS = -0.055, 4.1, 6.4, 1.8
-"""Logistic regression (experiments/benchmarks/joins.py): whether two pieces that touch are one object, by the mean
-angle along their border, how much their colour histograms intersect, and the share of one inside the other's outline.
-"""
+_WEIGHTS, _BIAS = np.array([-0.6, 3.5, 7.2, 3.7]), 2.35
+"""Logistic regression (experiments/benchmarks/joins.py) on what `borders` tells."""
+
+_STANDS_M = 0.04
+"""A piece whose lowest point is higher than this stands on another, or is part of it."""
 
 _LIKELY = 0.8
 """Two objects taken for one are lost; one taken for two is mended where both parts move alike."""
@@ -42,34 +43,43 @@ class _Piece:
     points: Float
 
 
-def join_pieces(
-    pieces: NDArray[np.int64],
-    center: Float,
-    pairs: NDArray[np.int64],
-    concave: Float,
-    voxel_of_pixel: NDArray[np.int64],
-    colours: Image,
-    cell: float,
-) -> NDArray[np.int64]:
-    """Join pieces while two neighbours are more likely one object than two, the likeliest first.
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The smooth pieces of what stands on the table.
 
-    Args:
-        pieces: (V,) piece of every voxel, 0..n-1, -1 for none.
+    Attributes:
+        of_voxel: (V,) int64 piece of every voxel, 0..n-1, -1 for none.
         center: (V, 3) metres, in the table's frame.
-        pairs: (E, 2) neighbouring voxels.
+        pairs: (E, 2) int64 neighbouring voxels.
         concave: (V,) degrees.
-        voxel_of_pixel: (P,).
+        voxel_of_pixel: (P,) int64.
         colours: (P, 3) uint8 RGB of the pixels.
         cell: side of a voxel, metres.
+    """
+
+    of_voxel: NDArray[np.int64]
+    center: Float
+    pairs: NDArray[np.int64]
+    concave: Float
+    voxel_of_pixel: NDArray[np.int64]
+    colours: Image
+    cell: float
+
+
+def join_pieces(pieces: Pieces) -> NDArray[np.int64]:
+    """Join pieces while two neighbours are more likely one object than two, the likeliest first.
 
     Returns:
         (V,) objects, 0..m-1, -1 for none.
     """
-    count = int(pieces.max(initial=-1)) + 1
+    count = int(pieces.of_voxel.max(initial=-1)) + 1
     if not count:
-        return pieces
-    known = _make(pieces, center, voxel_of_pixel, colours, cell, count)
-    borders = _gaps(known) | _borders(pieces, pairs, concave, count)
+        return pieces.of_voxel
+    known = _make(pieces, count)
+    borders = _gaps(known) | {
+        pair: (length, length * float(features @ _WEIGHTS + _BIAS))
+        for pair, (length, features) in _borders(known, pieces).items()
+    }
     owner = np.arange(count)
     while True:
         options = [(gain, a, b) for (a, b), border in borders.items() if (gain := _gain(known[a], known[b], border))]
@@ -83,14 +93,23 @@ def join_pieces(
             np.concatenate([known[a].points, known[b].points]),
         )
         joined: dict[tuple[int, int], tuple[int, float]] = {}
-        for (i, j), (length, angles) in borders.items():
+        for (i, j), (length, evidence) in borders.items():
             i, j = sorted((a if i == b else i, a if j == b else j))
             if i != j:
                 before = joined.get((i, j), (0, 0.0))
-                joined[i, j] = before[0] + length, before[1] + angles
+                joined[i, j] = before[0] + length, before[1] + evidence
         borders = joined
     objects = np.unique(owner, return_inverse=True)[1]
-    return np.where(pieces >= 0, objects[pieces], -1)
+    return np.where(pieces.of_voxel >= 0, objects[pieces.of_voxel], -1)
+
+
+def borders(pieces: Pieces) -> dict[tuple[int, int], tuple[int, Float]]:
+    """By pair of pieces that touch: how many voxels meet there, and what says whether they are one object.
+
+    That is (4,) the mean angle along the border in tens of degrees, how much the colour histograms intersect, the share
+    of the smaller piece inside the larger one's outline, and 1 if one of them is too high above the table to stand.
+    """
+    return _borders(_make(pieces, int(pieces.of_voxel.max(initial=-1)) + 1), pieces)
 
 
 def kinship(one: FusedModel, other: FusedModel) -> float:
@@ -98,10 +117,8 @@ def kinship(one: FusedModel, other: FusedModel) -> float:
     if not are_close(one.points, other.points):
         return 0.0
     a, b = (_piece(model.points, model.colors) for model in (one, other))
-    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
-    small, large = (a, b) if len(a.points) < len(b.points) else (b, a)
-    compact = _within(small.points, large.points) > _WITHIN or _spread(a.points, b.points) < _COMPACT
-    return alike if compact else 0.0
+    compact = _within(*_by_size(a, b)) > _WITHIN or _spread(a.points, b.points) < _COMPACT
+    return _alike(a, b) if compact else 0.0
 
 
 def are_close(one: Float, other: Float) -> bool:
@@ -121,45 +138,53 @@ def _bins(colours: Image | Float) -> NDArray[np.int64]:
     return (levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]
 
 
-def _make(
-    pieces: NDArray[np.int64], center: Float, of_pixel: NDArray[np.int64], colours: Image, cell: float, count: int
-) -> list[_Piece]:
-    bins, owner = _bins(colours), pieces[of_pixel]
+def _make(pieces: Pieces, count: int) -> list[_Piece]:
+    bins, owner = _bins(pieces.colours), pieces.of_voxel[pieces.voxel_of_pixel]
     seen = owner >= 0
     flat = np.bincount(owner[seen] * _LEVELS**3 + bins[seen], minlength=count * _LEVELS**3).astype(np.float64)
     cubes = gaussian_filter(flat.reshape(count, _LEVELS, _LEVELS, _LEVELS), (0, *[_SMOOTH_BINS] * 3))
-    areas = np.bincount(pieces[pieces >= 0], minlength=count) * cell**2
-    return [_Piece(cubes[k].ravel(), float(areas[k]), center[pieces == k]) for k in range(count)]
+    of_voxel = pieces.of_voxel
+    areas = np.bincount(of_voxel[of_voxel >= 0], minlength=count) * pieces.cell**2
+    return [_Piece(cubes[k].ravel(), float(areas[k]), pieces.center[of_voxel == k]) for k in range(count)]
 
 
-def _borders(
-    pieces: NDArray[np.int64], pairs: NDArray[np.int64], concave: Float, count: int
-) -> dict[tuple[int, int], tuple[int, float]]:
-    """Number of neighbouring voxels, and the sum of their angles, by pair of pieces that touch."""
-    a, b = np.sort(pieces[pairs], axis=1).T
+def _borders(known: list[_Piece], pieces: Pieces) -> dict[tuple[int, int], tuple[int, Float]]:
+    count = len(known)
+    a, b = np.sort(pieces.of_voxel[pieces.pairs], axis=1).T
     touching = (a >= 0) & (a != b)
-    angles = concave[pairs[touching]].max(axis=1)
+    angles = pieces.concave[pieces.pairs[touching]].max(axis=1)
     keys, inverse, lengths = np.unique(a[touching] * count + b[touching], return_inverse=True, return_counts=True)
-    sums = np.bincount(inverse, angles, len(keys))
-    return {
-        (int(key // count), int(key % count)): (int(length), float(total))
-        for key, length, total in zip(keys, lengths, sums, strict=True)
-    }
+    means = np.bincount(inverse, angles, len(keys)) / lengths
+    found: dict[tuple[int, int], tuple[int, Float]] = {}
+    for key, length, angle in zip(keys.tolist(), lengths.tolist(), means.tolist(), strict=True):
+        one, other = known[key // count], known[key % count]
+        raised = max(float(piece.points[:, 2].min()) for piece in (one, other)) > _STANDS_M
+        within = _within(*_by_size(one, other))
+        found[divmod(key, count)] = (length, np.array([angle / 10, _alike(one, other), within, float(raised)]))
+    return found
 
 
 def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
     """How much speaks for one object; 0 where nothing does."""
-    small, large = (a, b) if a.area < b.area else (b, a)
-    alike = float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
-    if not border[0]:
-        return alike if alike > _ALIKE and _within(small.points, large.points) > _WITHIN else 0.0
-    if small.area < _CRUMB_M2 or small.area < _CRUMB_SHARE * large.area:
-        return 2 + border[0] / (1 + border[0])
-    evidence = (
-        _PER_DEGREE * border[1] / border[0] + _PER_ALIKE * alike + _PER_WITHIN * _within(small.points, large.points)
-    )
-    likely = float(1 / (1 + np.exp(-(evidence + _BIAS))))
+    length, evidence = border
+    if not length:
+        alike = _alike(a, b)
+        return alike if alike > _ALIKE and _within(*_by_size(a, b)) > _WITHIN else 0.0
+    small, large = sorted((a.area, b.area))
+    if small < _CRUMB_M2 or small < _CRUMB_SHARE * large:
+        return 2 + length / (1 + length)
+    likely = float(1 / (1 + np.exp(-evidence / length)))
     return likely if likely > _LIKELY else 0.0
+
+
+def _alike(a: _Piece, b: _Piece) -> float:
+    """Intersection of the colour histograms, 0..1."""
+    return float(np.minimum(a.histogram / a.histogram.sum(), b.histogram / b.histogram.sum()).sum())
+
+
+def _by_size(a: _Piece, b: _Piece) -> tuple[Float, Float]:
+    """The points of both, the smaller one's first."""
+    return (a.points, b.points) if a.area < b.area else (b.points, a.points)
 
 
 def _gaps(known: list[_Piece]) -> dict[tuple[int, int], tuple[int, float]]:

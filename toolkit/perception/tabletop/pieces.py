@@ -9,7 +9,7 @@ comes out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from toolkit.geometry import invert
 from toolkit.perception.tabletop.creases import smooth_parts
-from toolkit.perception.tabletop.joining import join_pieces
+from toolkit.perception.tabletop.joining import Pieces, join_pieces
 from toolkit.perception.tabletop.labels import nearest_label
 from toolkit.perception.tabletop.relief import Relief, relief
 from toolkit.perception.tabletop.table import Table, find_table
@@ -128,11 +128,8 @@ def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> lis
     """
     if not any(r.things.any() for r in reliefs):
         return [np.zeros(r.things.shape, np.int32) for r in reliefs]
-    voxels = _voxels(reliefs)
-    there = _standing(voxels, ~(_seen_through(reliefs, table, voxels) | voxels.elsewhere))
-    pieces = _flooded(_cores(voxels, there), voxels, there)
-    colours = np.concatenate([r.frame.rgb[r.things] for r in reliefs])
-    objects = join_pieces(pieces, voxels.center, voxels.pairs, voxels.concave, voxels.of_pixel, colours, voxels.cell)
+    voxels, pieces = cut_pieces(reliefs, table)
+    objects = join_pieces(pieces)
     owner = objects[voxels.of_pixel]
     certain = np.concatenate([r.certain[r.things] for r in reliefs])
     count = int(objects.max()) + 1
@@ -148,6 +145,15 @@ def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> lis
         label[r.things] = number[owner[voxels.frame_of_pixel == k]]
         labels.append(label)
     return labels
+
+
+def cut_pieces(reliefs: Sequence[Relief], table: Table) -> tuple[Voxels, Pieces]:
+    """The voxels on the table, and the smooth pieces they fall into, before any are joined."""
+    voxels = _voxels(reliefs)
+    there, voxels = _standing(voxels, ~(_seen_through(reliefs, table, voxels) | voxels.elsewhere))
+    pieces = _flooded(_cores(voxels, there), voxels, there)
+    colours = np.concatenate([r.frame.rgb[r.things] for r in reliefs])
+    return voxels, Pieces(pieces, voxels.center, voxels.pairs, voxels.concave, voxels.of_pixel, colours, voxels.cell)
 
 
 def _voxels(reliefs: Sequence[Relief]) -> Voxels:
@@ -240,22 +246,24 @@ def _seen_through(reliefs: Sequence[Relief], table: Table, voxels: Voxels) -> Ma
     return against > voxels.seen.sum(axis=1)
 
 
-def _standing(voxels: Voxels, there: Mask) -> Mask:
-    """(V,) bool: of the voxels that are there, those that hang together down to the table."""
+def _standing(voxels: Voxels, there: Mask) -> tuple[Mask, Voxels]:
+    """Of the voxels that are there (V,) those that hang together down to the table, and the voxels so connected."""
     whole = _connected(voxels.pairs, there)
-    count = int(whole.max(initial=-1)) + 1
-    lowest = np.full(count, np.inf)
+    lowest = np.full(int(whole.max(initial=-1)) + 1, np.inf)
     np.minimum.at(lowest, whole[there], voxels.center[there, 2])
-    stands = lowest < _TOUCH_M
-    hovers = there & ~np.append(stands, True)[whole]
-    while hovers.any():
-        ground = KDTree(voxels.center[there & ~hovers])
-        near = np.isfinite(ground.query(voxels.center[hovers], distance_upper_bound=_HANG_M)[0])
-        hung = np.unique(whole[hovers][near])
-        if not len(hung):
+    hovers = there & (np.append(lowest, 0)[whole] >= _TOUCH_M)
+    links = [voxels.pairs]
+    while hovers.any() and (stands := np.flatnonzero(there & ~hovers)).size:
+        high = np.flatnonzero(hovers)
+        gaps, nearest = KDTree(voxels.center[stands]).query(voxels.center[high], distance_upper_bound=_HANG_M)
+        near = np.isfinite(gaps)
+        if not near.any():
             break
-        hovers &= ~np.isin(whole, hung)
-    return there & ~hovers
+        links.append(np.stack([high[near], stands[nearest[near]]], axis=1))
+        hovers &= ~np.isin(whole, whole[high[near]])
+    pairs = np.concatenate(links)
+    face = np.append(voxels.face, np.zeros(len(pairs) - len(voxels.face), bool))
+    return there & ~hovers, replace(voxels, pairs=pairs, face=face)
 
 
 def _cores(voxels: Voxels, there: Mask) -> NDArray[np.int64]:
