@@ -20,8 +20,9 @@ _FOREGROUND = 0.1
 """Places around which less of the image than this is foreground are not tried."""
 
 _DISTINCT_M = 0.04
-_STEP, _LEAST_STEP_M = 0.8, 0.008
-"""Places are no further apart than this part of the object's own radius, or they would step over small things."""
+_STEP, _LEAST_STEP_M, _MOST_YAWS = 0.7, 0.008, 72
+"""Places, and where turns take an object's ends, are no further apart than this part of its width, or they would step
+over small and thin things."""
 
 _COARSE_PX = 5.0
 """An object whose radius is less than this in the coarse image is looked for in the fine one."""
@@ -57,7 +58,7 @@ class Searcher:
         coarse: the image, for places all over the table.
         fine: the image, for the last millimetres.
         step: metres between the places tried, at most.
-        yaws: turns tried at each.
+        yaws: turns tried at each, at least.
         kept: hypotheses kept, besides that it was not moved.
     """
 
@@ -80,13 +81,15 @@ class Searcher:
         still = Hypothesis(0.0, np.zeros(2))
         radius = _radius(model)
         image = self._image(radius)
-        places = self._places(center, radius, image)
+        width, length = self._sides(model)
+        places = self._places(center, radius, min(self.step, max(_STEP * width, _LEAST_STEP_M)), image)
         found = [still]
         if len(places):
-            turns = np.arange(self.yaws) * 2 * np.pi / self.yaws
-            yaw, place = np.repeat(turns, len(places)), np.tile(places, (self.yaws, 1))
+            yaws = int(np.clip(np.pi * length / (_STEP * width), self.yaws, _MOST_YAWS))
+            turns = np.arange(yaws) * 2 * np.pi / yaws
+            yaw, place = np.repeat(turns, len(places)), np.tile(places, (yaws, 1))
             scores = score_motions(self._sample(model, _POINTS), yaw, place, image, self.T_camera_table)
-            by_yaw = scores.reshape(self.yaws, len(places))
+            by_yaw = scores.reshape(yaws, len(places))
             found += [
                 Hypothesis(float(turns[by_yaw[:, i].argmax()]), places[i, :2] - center[:2])
                 for i in self._peaks(places[:, :2], by_yaw.max(axis=0))
@@ -105,10 +108,15 @@ class Searcher:
         distance = float(np.linalg.norm(self.T_camera_table[:3, 3]))
         return self.coarse if radius * self.coarse.K[0, 0] / distance > _COARSE_PX else self.fine
 
-    def _places(self, center: Float, radius: float, image: Evidence) -> Float:
+    def _sides(self, model: FusedModel) -> tuple[float, float]:
+        """The shorter and the longer side of the rectangle around a model seen from above, metres."""
+        plan = model.points @ self.table.T_world_table[:3, :2]
+        shorter, longer = sorted(cv2.minAreaRect(plan.astype(np.float32))[1])
+        return max(shorter, 1e-3), max(longer, 1e-3)
+
+    def _places(self, center: Float, radius: float, step: float, image: Evidence) -> Float:
         """(N, 3) places of the centre on the table around which the goal image shows something."""
         low, high = self.table.outline.min(axis=0), self.table.outline.max(axis=0)
-        step = min(self.step, max(_STEP * radius, _LEAST_STEP_M))
         x, y = (np.arange(a, b, step) for a, b in zip(low, high, strict=True))
         plan = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         plan = plan[self.table.holds(plan)]
