@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -59,12 +59,14 @@ class FusedModel:
         colors: (N, 3) float32 RGB, 0..255, mean over the views that saw the voxel.
         seen_by: (N, V) bool, which of the patches saw the voxel.
         patches: V, one per frame that saw the object.
+        score: 0..1, mean of the segmenter's own confidence in its segments.
     """
 
     points: Float
     colors: Float
     seen_by: Mask
     patches: tuple[Patch, ...]
+    score: float = 1.0
 
     @property
     def center(self) -> Float:
@@ -110,7 +112,8 @@ def fuse(database: Database, instance: int) -> FusedModel | Failure:
     kept = _not_lonely(merged)
     if kept.sum() < MIN_POINTS:
         return Failure("refiner", f"instance {instance} has only {int(kept.sum())} points that are no outliers")
-    return _off_the_table(FusedModel(merged[kept], tints[kept], seen_by[kept], patches))
+    score = float(np.mean([database.regions[row].segment.score for row in database.instance(instance)]))
+    return _off_the_table(FusedModel(merged[kept], tints[kept], seen_by[kept], patches, score))
 
 
 class Models:
@@ -237,7 +240,7 @@ def _off_the_table(model: FusedModel) -> FusedModel:
         return model
     kept = np.ones(len(height), bool)
     kept[rim] = False
-    return FusedModel(model.points[kept], model.colors[kept], model.seen_by[kept], model.patches)
+    return replace(model, points=model.points[kept], colors=model.colors[kept], seen_by=model.seen_by[kept])
 
 
 def _not_lonely(points: Float) -> Mask:

@@ -26,7 +26,8 @@ class MultiviewSegmenter(Plugin[MultiviewConfig], Segmenter):
 
     Objects are mostly convex, so they part where the surface is concave (Stein et al., CVPR 2014) or ends; colours join
     what one object shows in two parts. What the frames do not agree on is noise. Every segment says which object it is
-    of, by the same numbers in all frames. One frame alone works as far as it can.
+    of, by the same numbers in all frames, and by its score how likely that is a whole one. One frame alone works as far
+    as it can.
     """
 
     stage = "segmenter"
@@ -43,5 +44,6 @@ class MultiviewSegmenter(Plugin[MultiviewConfig], Segmenter):
                 f"multiview joins the depth of the current frames, and frame {frame.index} is none of them;"
                 " choose a segmenter for colour images as goal_segmenter, such as table_appearance"
             )
-        labels = objects_on_table(current, self.config.min_height_mm / 1e3, self.config.min_pixels)[frame.index]
-        return [Segment(labels == k, instance=int(k) - 1) for k in np.unique(labels[labels > 0])]
+        found = objects_on_table(current, self.config.min_height_mm / 1e3, self.config.min_pixels)
+        labels = found.labels[frame.index]
+        return [Segment(labels == k, float(found.whole[k - 1]), int(k) - 1) for k in np.unique(labels[labels > 0])]

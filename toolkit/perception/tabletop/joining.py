@@ -66,15 +66,16 @@ class Pieces:
     cell: float
 
 
-def join_pieces(pieces: Pieces) -> NDArray[np.int64]:
+def join_pieces(pieces: Pieces) -> tuple[NDArray[np.int64], Float]:
     """Join pieces while two neighbours are more likely one object than two, the likeliest first.
 
     Returns:
-        (V,) objects, 0..m-1, -1 for none.
+        (V,) objects, 0..m-1, -1 for none, and (m,) how likely each is a whole one: 1 where it touches none that it may
+        be a part of.
     """
     count = int(pieces.of_voxel.max(initial=-1)) + 1
     if not count:
-        return pieces.of_voxel
+        return pieces.of_voxel, np.zeros(0)
     known = _make(pieces, count)
     borders = _gaps(known) | {
         pair: (length, length * float(features @ _WEIGHTS + _BIAS))
@@ -99,8 +100,13 @@ def join_pieces(pieces: Pieces) -> NDArray[np.int64]:
                 before = joined.get((i, j), (0, 0.0))
                 joined[i, j] = before[0] + length, before[1] + evidence
         borders = joined
-    objects = np.unique(owner, return_inverse=True)[1]
-    return np.where(pieces.of_voxel >= 0, objects[pieces.of_voxel], -1)
+    names, objects = np.unique(owner, return_inverse=True)
+    part = np.zeros(count)
+    for (i, j), (length, evidence) in borders.items():
+        likely = _likely(length, evidence) if length else 0.0
+        for one, other in ((i, j), (j, i)):
+            part[one] = max(part[one], likely * min(known[other].area / known[one].area, 1.0))
+    return np.where(pieces.of_voxel >= 0, objects[pieces.of_voxel], -1), 1 - part[names]
 
 
 def borders(pieces: Pieces) -> dict[tuple[int, int], tuple[int, Float]]:
@@ -173,8 +179,13 @@ def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
     small, large = sorted((a.area, b.area))
     if small < _CRUMB_M2 or small < _CRUMB_SHARE * large:
         return 2 + length / (1 + length)
-    likely = float(1 / (1 + np.exp(-evidence / length)))
+    likely = _likely(length, evidence)
     return likely if likely > _LIKELY else 0.0
+
+
+def _likely(length: int, evidence: float) -> float:
+    """Probability that two pieces are one object."""
+    return float(1 / (1 + np.exp(-evidence / length)))
 
 
 def _alike(a: _Piece, b: _Piece) -> float:

@@ -82,16 +82,26 @@ class Voxels:
     cell: float
 
 
-def objects_on_table(frames: Sequence[Frame], min_height: float, min_pixels: int) -> dict[int, NDArray[np.int32]]:
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """The objects on the table.
+
+    Attributes:
+        labels: by frame index, (H, W) int32: 0 for none, else the object, by the same numbers 1..n in all frames.
+        whole: (n,) how likely each is a whole one, and not a part of one that it touches.
+    """
+
+    labels: dict[int, NDArray[np.int32]]
+    whole: Float
+
+
+def objects_on_table(frames: Sequence[Frame], min_height: float, min_pixels: int) -> Objects:
     """Label what stands on the table in every frame of a scene. The last scene's labels are kept.
 
     Args:
         frames: RGB-D frames.
         min_height: metres; what is lower is table, also where depth is less noisy than that.
         min_pixels: objects of fewer pixels, all frames together, are dropped.
-
-    Returns:
-        By frame index, (H, W) int32: 0 for none, else the object, by the same numbers 1..n in all frames.
 
     Raises:
         ToolkitError: no frame's depth shows a table.
@@ -100,13 +110,14 @@ def objects_on_table(frames: Sequence[Frame], min_height: float, min_pixels: int
 
 
 @lru_cache(maxsize=2)
-def _objects(frames: tuple[Frame, ...], min_height: float, min_pixels: int) -> dict[int, NDArray[np.int32]]:
+def _objects(frames: tuple[Frame, ...], min_height: float, min_pixels: int) -> Objects:
     table = find_table(frames)
     reliefs = [relief(frame, plane, table, min_height) for frame, plane in table.seen()]
     found = {frame.index: np.zeros(frame.rgb.shape[:2], np.int32) for frame in frames}
-    for r, labels in zip(reliefs, cut_objects(reliefs, table, min_pixels), strict=True):
+    cut, whole = cut_objects(reliefs, table, min_pixels)
+    for r, labels in zip(reliefs, cut, strict=True):
         found[r.frame.index] = _with_borders(labels, r.unsure)
-    return found
+    return Objects(found, whole)
 
 
 def _with_borders(labels: NDArray[np.int32], free: Mask) -> NDArray[np.int32]:
@@ -115,7 +126,7 @@ def _with_borders(labels: NDArray[np.int32], free: Mask) -> NDArray[np.int32]:
     return np.where((labels == 0) & free & (gap <= _BORDER_PX), nearest_label(labels), labels)
 
 
-def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> list[NDArray[np.int32]]:
+def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> tuple[list[NDArray[np.int32]], Float]:
     """Label the objects on the table, in every frame by the same numbers.
 
     Args:
@@ -124,12 +135,12 @@ def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> lis
         min_pixels: smaller objects, all frames together, are dropped.
 
     Returns:
-        One (H, W) int32 for every relief: 0 for none, else the object, 1..n.
+        One (H, W) int32 for every relief: 0 for none, else the object, 1..n; and (n,) how likely each is a whole one.
     """
     if not any(r.things.any() for r in reliefs):
-        return [np.zeros(r.things.shape, np.int32) for r in reliefs]
+        return [np.zeros(r.things.shape, np.int32) for r in reliefs], np.zeros(0)
     voxels, pieces = cut_pieces(reliefs, table)
-    objects = join_pieces(pieces)
+    objects, whole = join_pieces(pieces)
     owner = objects[voxels.of_pixel]
     certain = np.concatenate([r.certain[r.things] for r in reliefs])
     count = int(objects.max()) + 1
@@ -144,7 +155,7 @@ def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> lis
         label = np.zeros(r.things.shape, np.int32)
         label[r.things] = number[owner[voxels.frame_of_pixel == k]]
         labels.append(label)
-    return labels
+    return labels, whole[kept]
 
 
 def cut_pieces(reliefs: Sequence[Relief], table: Table) -> tuple[Voxels, Pieces]:
@@ -255,7 +266,8 @@ def _standing(voxels: Voxels, there: Mask) -> tuple[Mask, Voxels]:
     links = [voxels.pairs]
     while hovers.any() and (stands := np.flatnonzero(there & ~hovers)).size:
         high = np.flatnonzero(hovers)
-        gaps, nearest = KDTree(voxels.center[stands]).query(voxels.center[high], distance_upper_bound=_HANG_M)
+        ground = KDTree(voxels.center[stands])
+        gaps, nearest = (np.asarray(a) for a in ground.query(voxels.center[high], distance_upper_bound=_HANG_M))
         near = np.isfinite(gaps)
         if not near.any():
             break

@@ -12,7 +12,7 @@ from toolkit.perception.explainers.searching.jointly import Candidate, Compositi
 from toolkit.perception.fusion import FusedModel
 from toolkit.perception.tabletop.joining import kinship
 from toolkit.perception.tabletop.table import Table
-from toolkit.types import Camera, Float
+from toolkit.types import Camera, Float, Mask
 
 _WEIGHTS = {
     "agreement": 4.0,
@@ -24,6 +24,8 @@ _WEIGHTS = {
     "lead": 1.0,
     "size": 0.0,
     "still": 0.5,
+    "whole": 1.0,
+    "framed": 1.0,
     "views": 0.5,
 }
 _BIAS = -6.0
@@ -58,7 +60,8 @@ def judge(
         By name: `agreement` with the pixels it shows in; `gain` over the empty table there; `visible`, the part of it
         that nothing hides, and `inside`, the part that lies in the image; `height` above the table; `alone`, how little
         it looks like a part of something larger; `lead` over its next best place, or over being absent; `size`;
-        `still`, 1 where it was not moved; `views`, the part of the current frames that saw it.
+        `still`, 1 where it was not moved; `whole`, the segmenter's confidence in its segments; `framed`, the part of
+        the frames that saw it where no border of the image cuts it; `views`, the part of the frames that saw it.
     """
     model, own = models[instance], chosen[instance]
     drawn = compose(chosen, background)
@@ -77,6 +80,8 @@ def judge(
         "lead": _lead(instance, chosen, options, background, model) / count / MOST_COST,
         "size": min(len(pixels) / _LARGE_PX, 1.0),
         "still": float(not own.moved),
+        "whole": model.score,
+        "framed": float(np.mean([not _is_cut(patch.mask) for patch in model.patches])),
         "views": float(len(model.patches) / max(len(table.frames), 1)),
     }
 
@@ -91,6 +96,11 @@ def _inside(model: FusedModel, T_goal_current: Float, camera: Camera) -> float:
     pixels, _ = project(camera.K, invert(camera.T_world_camera) @ T_goal_current, model.points.astype(np.float64))
     size = np.array([camera.width, camera.height])
     return float(((pixels >= 0) & (pixels <= size - 1)).all(axis=1).mean())
+
+
+def _is_cut(mask: Mask) -> bool:
+    """Whether an object reaches the border of an image."""
+    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
 
 
 def _lead(

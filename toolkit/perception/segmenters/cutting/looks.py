@@ -29,7 +29,7 @@ def object_looks(current: Sequence[Frame]) -> Float:
     Raises:
         ToolkitError: no frame's depth shows a table.
     """
-    labels = objects_on_table(current, _MIN_HEIGHT_M, _MIN_PIXELS)
+    labels = objects_on_table(current, _MIN_HEIGHT_M, _MIN_PIXELS).labels
     return learn_looks(current, [labels[frame.index] for frame in current])
 
 
