@@ -85,7 +85,8 @@ def _motion(estimate: PoseEstimate) -> tuple[str, str]:
 
 def _estimate(capture: Capture, runner: CellRunner, out: Path) -> list[PoseEstimate]:
     database = runner.pipeline.build_database(capture.current)
-    estimates = runner.pipeline.estimate(database, capture.goal)
+    scene = runner.pipeline.scene(database)
+    estimates = scene.estimate(capture.goal)
     with writable(f"'{out}'"):
-        write_poses(out, capture, database, estimates)
+        write_poses(out, capture, scene.database, estimates)
     return estimates

@@ -20,30 +20,73 @@ OUTLIER: Color = (231, 76, 60)
 _SHIFT = 4
 """Fractional bits of OpenCV's sub-pixel drawing."""
 
+_TINT = 0.35
+_FONT, _FONT_SIZE, _LINE_PX, _MARGIN_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.48, 20, 8
+_PLATE = (24, 24, 28)
 _SPLAT_RADIUS_PX = 3
 _MAX_FRAMES = 3
 
 
-def overlay(goal: Frame, outlines: Sequence[tuple[str, Float, Color]]) -> Image:
-    """Draw outlines of moved point clouds on the goal image.
+def overlay(
+    goal: Frame, outlines: Sequence[tuple[str, Float, Color]], masks: Sequence[tuple[str, Mask, Color]] = ()
+) -> Image:
+    """Draw outlines of moved point clouds and of masks on the goal image.
 
     Args:
         goal: the goal image and its camera.
         outlines: label, (N, 3) world points already moved to the goal, and colour, one per object.
+        masks: label, (H, W) bool, and colour, one per object without a motion; they are tinted.
 
     Returns:
         (H, W, 3) uint8.
     """
     picture = goal.rgb.copy()
-    for label, points, color in outlines:
-        contours = _silhouette(goal, points)
-        if not contours:
-            continue
+    drawn = [(label, _silhouette(goal, points), color) for label, points, color in outlines]
+    for label, mask, color in masks:
+        picture[mask] = np.rint((1 - _TINT) * picture[mask] + _TINT * np.array(color)).astype(np.uint8)
+        contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        drawn.append((label, [np.asarray(c, np.int32) for c in contours], color))
+    drawn = [entry for entry in drawn if entry[1]]
+    for _, contours, color in drawn:
         cv2.polylines(picture, contours, True, (0, 0, 0), 4, cv2.LINE_AA)
         cv2.polylines(picture, contours, True, color, 2, cv2.LINE_AA)
-        x, y, w, _ = cv2.boundingRect(np.concatenate(contours))
-        write_label(picture, label, (x + w // 2, y - 6), color)
+    taken: list[tuple[int, int, int, int]] = []
+    for label, contours, color in drawn:
+        center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken)
+        taken.append(_plate(picture, label, center))
+        write_label(picture, label, center, color)
     return picture
+
+
+def _free_place(
+    picture: Image, label: str, box: Sequence[int], taken: Sequence[tuple[int, int, int, int]]
+) -> tuple[int, int]:
+    """Where a label covers no other one: above what it names, below it, or further down."""
+    x, y, w, h = box
+    places = [(x + w // 2, y - 6), *((x + w // 2, y + h + 14 + _LINE_PX * k) for k in range(4))]
+    for place in places:
+        left, top, right, bottom = _plate(picture, label, place)
+        if not any(left < x1 and x0 < right and top < y1 and y0 < bottom for x0, y0, x1, y1 in taken):
+            return place
+    return places[0]
+
+
+def with_legend(picture: Image, entries: Sequence[tuple[str, Color]]) -> Image:
+    """The picture on top of lines of text, each in its colour, as many beside each other as fit."""
+    width, rows = picture.shape[1], list[list[tuple[str, Color, int]]]()
+    x = width
+    for text, color in entries:
+        wide = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)[0][0] + 2 * _MARGIN_PX
+        if x + wide > width:
+            rows.append([])
+            x = 0
+        rows[-1].append((text, color, x))
+        x += wide
+    strip = np.full((_LINE_PX * len(rows) + _MARGIN_PX, width, 3), _PLATE, np.uint8)
+    for number, row in enumerate(rows, start=1):
+        for text, color, x in row:
+            cv2.putText(strip, text, (x + _MARGIN_PX, _LINE_PX * number), _FONT, _FONT_SIZE, color, 1, cv2.LINE_AA)
+    return np.vstack([picture, strip])
 
 
 def _silhouette(goal: Frame, points: Float) -> list[NDArray[np.int32]]:
@@ -120,9 +163,15 @@ def _line(picture: Image, start: Float, end: Float, color: Color) -> None:
 
 def write_label(picture: Image, text: str, center: tuple[int, int], color: Color) -> None:
     """Write text centred at a pixel on a dark plate, in place, kept inside the picture."""
-    font, size, thickness = cv2.FONT_HERSHEY_SIMPLEX, 0.48, 1
-    (width, height), base = cv2.getTextSize(text, font, size, thickness)
+    left, top, right, bottom = _plate(picture, text, center)
+    cv2.rectangle(picture, (left, top), (right, bottom), _PLATE, -1)
+    base = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)[1]
+    cv2.putText(picture, text, (left + 4, bottom - base - 1), _FONT, _FONT_SIZE, color, 1, cv2.LINE_AA)
+
+
+def _plate(picture: Image, text: str, center: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of a label's plate, pixels."""
+    (width, height), base = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)
     x = int(np.clip(center[0] - width // 2, 3, max(3, picture.shape[1] - width - 3)))
     y = int(np.clip(center[1], height + 3, max(height + 3, picture.shape[0] - base - 3)))
-    cv2.rectangle(picture, (x - 4, y - height - 4), (x + width + 4, y + base + 1), (24, 24, 28), -1)
-    cv2.putText(picture, text, (x, y), font, size, color, thickness, cv2.LINE_AA)
+    return x - 4, y - height - 4, x + width + 4, y + base + 1

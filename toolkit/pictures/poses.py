@@ -13,7 +13,7 @@ from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
-from toolkit.pictures.drawing import correspondences, overlay
+from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.rows import Row
 from toolkit.types import Capture, Float, PoseEstimate
@@ -47,13 +47,24 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
                 "time_ms": {stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
             }
         )
-    path = out / "poses.json"
-    write_json(path, {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects})
+    path, missing = out / "poses.json", missing_instances(database, estimates)
+    write_json(path, {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects, "not_in_goal": missing})
     write_pictures(out, capture, database, estimates)
     return path
 
 
-_OUTLINE = (40, 200, 90)
+SURE = 0.5
+"""Confidence above which an answer is called sure."""
+
+_SURE, _DOUBTFUL, _WITHHELD, _UNKNOWN = (40, 200, 90), (245, 190, 40), (240, 80, 60), (200, 140, 235)
+_PLAIN: Color = (225, 225, 225)
+LEGEND: dict[str, Color] = {
+    f"sure (over {SURE:.0%})": _SURE,
+    "doubtful: look at it": _DOUBTFUL,
+    "withheld: no motion": _WITHHELD,
+    "unknown: not in the current scene": _UNKNOWN,
+}
+"""What the colours of an overlay mean."""
 
 
 def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:
@@ -66,14 +77,47 @@ def write_pictures(out: Path, capture: Capture, database: Database, estimates: S
 
 
 def overlay_picture(capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> np.ndarray:
-    """The goal image (H, W, 3 uint8) with the outline of every estimated object where its motion puts it."""
-    outlines: list[tuple[str, Float, tuple[int, int, int]]] = []
+    """The goal image with every goal object: number, instance and confidence, coloured by how sure that is.
+
+    An object with a motion is outlined where that puts its instance, one without by its mask. Beneath stand what the
+    colours mean, and the instances that the goal does not show.
+
+    Returns:
+        (H', W, 3) uint8, the goal image on top.
+    """
+    outlines: list[tuple[str, Float, Color]] = []
     for estimate in estimates:
-        if estimate.T_goal_current is None or estimate.instance is None:
-            continue
-        points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
-        outlines.append((str(estimate.goal_object), estimate.move(points), _OUTLINE))
-    return overlay(capture.goal, outlines)
+        if estimate.T_goal_current is not None and estimate.instance is not None:
+            points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
+            outlines.append((_label(estimate), estimate.move(points), _color(estimate)))
+    masks = [(_label(e), e.segment.mask, _color(e)) for e in estimates if e.T_goal_current is None]
+    picture = overlay(capture.goal, outlines, masks)
+    missing = missing_instances(database, estimates)
+    absent = [f"not seen in the goal: {', '.join(f'#{i}' for i in missing)}"] if missing else []
+    return with_legend(picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent)])
+
+
+def missing_instances(database: Database, estimates: Sequence[PoseEstimate]) -> list[int]:
+    """Instances of the current scene that no goal object is taken for."""
+    return sorted(set(database.instances.tolist()) - {e.instance for e in estimates})
+
+
+def _label(estimate: PoseEstimate) -> str:
+    """Number of the goal object, instance, and confidence or why there is none."""
+    if estimate.instance is None:
+        return f"{estimate.goal_object}: unknown"
+    said = "withheld" if estimate.T_goal_current is None else _percent(estimate.confidence)
+    return f"{estimate.goal_object}: #{estimate.instance} {said}"
+
+
+def _percent(confidence: float | None) -> str:
+    return "" if confidence is None else f"{100 * confidence:.0f} %"
+
+
+def _color(estimate: PoseEstimate) -> Color:
+    if estimate.T_goal_current is None:
+        return _UNKNOWN if estimate.instance is None else _WITHHELD
+    return _SURE if estimate.confidence is None or estimate.confidence > SURE else _DOUBTFUL
 
 
 def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:
@@ -102,7 +146,7 @@ def write_case(folder: Path, capture: Capture, database: Database, estimates: Se
     picture = overlay_picture(capture, database, [e for e in estimates if e is estimate])
     matches = None if estimate is None else matches_picture(capture, database, estimate)
     if matches is not None:
-        picture = np.hstack([picture, matches])
+        picture = np.hstack([picture[: len(matches)], matches])
     name = f"{row.scene_id:06d}_{row.object:06d}"
     _write_png(folder / f"{name}.png", picture)
     if row.rotation_error_deg_sym is None:
