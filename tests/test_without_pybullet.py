@@ -149,3 +149,4 @@ def test_the_doctor_names_it(command):
     code, said = command("doctor")
     assert code == 0
     assert f"simulator: none here; {SENTENCE}" in said
+    assert "renderer: none" in said

@@ -175,7 +175,7 @@ class Robot:
             self._client.resetJointState(self.body, joint, angle)
 
     def follow(self, q: Float, velocity: Float) -> None:
-        """Let the arm's motors hold (J,) angles, moving at (J,) radians a second."""
+        """Let the arm's motors hold (J,) angles, moving at (J,) radians per second."""
         self._client.setJointMotorControlArray(
             self.body,
             self._arm,

@@ -69,14 +69,14 @@ class Arm(Plugin[ArmConfig], Executor):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """See Plugin: the simulator, the robot's description, the grasper and the motion planner can be had."""
+        """Raise ToolkitError unless the simulator, the robot's description and both chosen stages can be had."""
         require_pybullet()
         self._model.urdf()
         for part in self._parts:
             part.check_ready()
 
     def digests(self) -> dict[str, str]:
-        """See Plugin: of the grasper's and the motion planner's weights."""
+        """Return digests of the weights of the grasper and of the motion planner, by name."""
         return {name: sha256 for part in self._parts for name, sha256 in part.digests().items()}
 
     @property
@@ -96,7 +96,7 @@ class Arm(Plugin[ArmConfig], Executor):
         return ROBOTS[self.config.robot]
 
     def begin(self, task: TabletopScene) -> Frame:
-        """See Executor; the task is a scene of the tabletop benchmark."""
+        """Build the benchmark's scene in the simulator, with the arm at its home, and return the goal image."""
         self.check_ready()
         self.close()
         self._task = task
@@ -121,19 +121,17 @@ class Arm(Plugin[ArmConfig], Executor):
         return self._bench.touches
 
     def close(self) -> None:
-        """See Executor."""
         self._opened.close()
 
     def observe(self) -> list[Frame]:
-        """See Executor: the wrist camera's pictures, in which the arm behind it is not seen."""
+        """Return the wrist camera's frames from the predefined views; the arm, which is behind it, is in none."""
         return self._studio.current(self._bench.poses())
 
     def state(self) -> Mapping[int, Float]:
-        """See Executor."""
         return dict(enumerate(self._bench.poses()))
 
     def home(self) -> None:
-        """See Executor; where no path leads there, it stays."""
+        """Move the arm to its home, out of the cameras' sight; where no path leads there, it stays."""
         home = np.array(self._model.home)
         if np.abs(self._bench.target - home).max() < 1e-6:
             return
@@ -152,11 +150,9 @@ class Arm(Plugin[ArmConfig], Executor):
         return self._film_set.picture(self._bench)
 
     def goal_picture(self) -> Image:
-        """See Filmable."""
         return self._goal.rgb
 
     def pick_place(self, request: PickPlace) -> Outcome:
-        """See Executor."""
         start = self._bench.seconds
         number = self._bench.under(request.points[:: max(1, len(request.points) // _RAYS)])
         if number is None:

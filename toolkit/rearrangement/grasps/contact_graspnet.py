@@ -59,7 +59,6 @@ class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
         return {self._path.name: file_digest(self._path)}
 
     def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
-        """See Grasper."""
         seen = evenly_seen(request)
         if isinstance(seen, Failure):
             return seen
