@@ -284,7 +284,7 @@ def test_the_command_line_goes_to_a_cluster_by_its_address(folder, reference, tm
         where = json.loads(address.read_text())["address"]
         command = ["ablate", "small.yaml", "--backend", "dask", "--address", where, "--out", tmp_path / "run"]
         done = subprocess.run(
-            [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, command)],
+            [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", *map(str, command)],
             cwd=folder,
             capture_output=True,
             text=True,
