@@ -44,7 +44,7 @@ def toolkit(*arguments: object, folder: Path | None = None, **environment: str) 
 
 
 def own_process(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """What a command answers in a process of its own, which imports what is tested (-P), not the folder it stands in."""
+    """What a command answers in a process of its own; it imports what is tested (-P), not the folder it is in."""
     return subprocess.run(
         [sys.executable, "-P", "-c", START, *map(str, arguments)],
         env={**os.environ, **TERMINAL, **environment},

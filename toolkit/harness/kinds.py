@@ -89,7 +89,7 @@ class RunKind(ABC, Generic[RowT, TaskT]):
 
     @abstractmethod
     def check(self, cell: Cell) -> dict[str, str]:
-        """Everything a worker would stumble over, before any work starts.
+        """Find what would stop a worker, before any work starts.
 
         Returns:
             sha256 by name of the weights the cell uses.

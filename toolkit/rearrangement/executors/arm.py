@@ -44,11 +44,17 @@ class ArmConfig(PluginConfig):
         "ompl", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
     )
     search_s: float = Field(5.0, gt=0, description="Longest search for one path, of processor time.")
-    joint_speed: float = Field(0.8, gt=0, description="Of the fastest joint in free motion, rad/s.")
-    line_speed: float = Field(0.25, gt=0, description="Of the fastest joint near objects, rad/s.")
-    approach_m: float = Field(0.08, gt=0, description="Straight way to a grasp, and back from a place.")
-    off_m: float = Field(0.02, gt=0, description="An object put further off than this has slipped, ...")
-    off_deg: float = Field(10.0, gt=0, description="... and so has one that is turned by more than this.")
+    joint_speed: float = Field(0.8, gt=0, description="Speed of the fastest joint in free motion, rad/s.")
+    line_speed: float = Field(0.25, gt=0, description="Speed of the fastest joint near objects, rad/s.")
+    approach_m: float = Field(
+        0.08, gt=0, description="Length of the straight way to a grasp, and of the way back from a place."
+    )
+    off_m: float = Field(
+        0.02, gt=0, description="An object that ends further than this from where it was to be put has slipped."
+    )
+    off_deg: float = Field(
+        10.0, gt=0, description="An object that ends turned by more than this from how it was to be put has slipped."
+    )
 
 
 class Arm(Plugin[ArmConfig], Executor):

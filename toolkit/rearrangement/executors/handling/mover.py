@@ -26,8 +26,8 @@ class Mover:
 
     Args:
         bench: the arm and what is around it.
-        joint_speed: of the fastest joint in free motion, rad/s.
-        line_speed: of the fastest joint near objects, rad/s.
+        joint_speed: speed of the fastest joint in free motion, rad/s.
+        line_speed: speed of the fastest joint near objects, rad/s.
     """
 
     def __init__(self, bench: Bench, joint_speed: float, line_speed: float) -> None:
