@@ -26,7 +26,8 @@ class SightSettings(PluginConfig):
     settled_cm: float = Field(
         1.0,
         ge=0,
-        description="An object stays where it is when its motion is shorter than this and its turn below `settled_deg`.",
+        description="An object stays where it is when its motion is shorter than this, and turns it by less than "
+        "`settled_deg`.",
     )
     settled_deg: float = Field(
         2.5,
