@@ -18,12 +18,12 @@ from toolkit.stages import REGISTRIES
 
 
 def diagnose() -> Iterator[str]:
-    """Yield one finding a line."""
+    """Yield what was found, line by line."""
     yield f"toolkit {__version__}, Python {platform.python_version()}, {platform.platform()}"
     yield f"cores: {cores()}"
     yield "libraries: " + ", ".join(f"{name} {number}" for name, number in library_versions().items())
     yield f"accelerator: {_accelerator()}"
-    yield f"simulator: {_simulator()}"
+    yield from _simulator()
     yield f"cache: {cache_root()} ({_cache_state()})"
     for registry in REGISTRIES.values():
         for entry in registry.entries():
@@ -40,13 +40,18 @@ def _accelerator() -> str:
     return torch.cuda.get_device_name() if torch.cuda.is_available() else "none seen by torch; stages run on the CPU"
 
 
-def _simulator() -> str:
+def _simulator() -> Iterator[str]:
     try:
         require_pybullet()
     except ToolkitError as error:
-        return f"none here; {error}"
-    egl = "loads here" if best_renderer() == "egl" else "does not load here"
-    return f"PyBullet; TinyRenderer always; its EGL plug-in {egl}"
+        yield f"simulator: none here; {error}"
+        yield "renderer: none without the simulator"
+        return
+    yield "simulator: PyBullet"
+    chosen = (
+        "PyBullet's EGL plug-in" if best_renderer() == "egl" else "TinyRenderer; the EGL plug-in does not load here"
+    )
+    yield f"renderer: {chosen}"
 
 
 def _cache_state() -> str:

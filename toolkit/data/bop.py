@@ -17,7 +17,7 @@ from toolkit.geometry import invert, is_rigid, make_transform, orthonormalize
 from toolkit.types import Camera, Capture, Float, Frame, Image, Mask, ObjectModel, Placed, TrueObject
 
 DEPTH_SCALE = 0.1
-"""Millimetres a unit of the depth images that the toolkit writes."""
+"""Millimetres per unit of the depth images that the toolkit writes."""
 
 _RIGID_TOLERANCE = 1e-3
 """Poses rounded in files are this far from orthonormal at most."""
