@@ -29,7 +29,7 @@ _WEIGHTS, _BIAS = np.array([-0.6, 3.5, 7.2, 3.7]), 2.35
 _STANDS_M = 0.04
 """A piece whose lowest point is higher than this stands on another, or is part of it."""
 
-_LIKELY = 0.8
+_LIKELY = 0.7
 """Two objects taken for one are lost; one taken for two is mended where both parts move alike."""
 
 _GAP_M, _PROBES = 0.02, 400
