@@ -3,9 +3,9 @@
 python experiments/benchmarks/segmenters.py DATASET... --scenes 20
 python experiments/benchmarks/segmenters.py ../shared/real --each --images goal --explained
 
-With `--explained` the goal's masks are those that the default pipeline ends with. Boundary F is that of Xie et al., "The
-best of both modes" (CoRL 2019): boundary pixels within 0.3 % of the image's diagonal of each other agree, and precision
-and recall are over all objects of an image, each assigned to one segment.
+With `--explained` the goal's masks are those that the default pipeline ends with. Boundary F is that of Xie et al.
+("The best of both modes", CoRL 2019): boundary pixels within 0.3 % of the image's diagonal of each other agree, and
+precision and recall are over all objects of an image, each assigned to one segment.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class Tally:
         if matched:
             low, high = bootstrap_interval(np.array(self.ious), np.array(self.scenes), lambda v: float(v.mean()))
             iou = f"{np.mean(self.ious):.3f} [{low:.3f}, {high:.3f}]"
-        return f"| {name} | {kind} | {recall} | {precision} | {iou} | {np.mean(self.boundaries):.3f} | {np.median(self.milliseconds):.0f} |"
+        boundary, ms = np.mean(self.boundaries), np.median(self.milliseconds)
+        return f"| {name} | {kind} | {recall} | {precision} | {iou} | {boundary:.3f} | {ms:.0f} |"
 
 
 def main() -> None:
