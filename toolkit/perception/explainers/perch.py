@@ -73,15 +73,7 @@ class Perch(Plugin[PerchConfig], Explainer):
         masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}
         placements: list[Placement] = []
         for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax())):
-            judged = judge(
-                instance,
-                chosen,
-                candidates[instance],
-                models,
-                background.reshape(fine.background.shape),
-                scan.table,
-                task.goal.camera,
-            )
+            judged = judge(instance, chosen, candidates[instance], models, background, scan.table)
             segment, T = Segment(mask, instance=instance), chosen[instance].T_goal_current
             placements.append(Placement(instance, T, segment, trust(judged), judged))
         return Explanation(tuple(placements), unexplained(task.segments, masks), groups)

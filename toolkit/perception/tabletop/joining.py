@@ -29,7 +29,7 @@ _WEIGHTS, _BIAS = np.array([-0.6, 3.5, 7.2, 3.7]), 2.35
 _STANDS_M = 0.04
 """A piece whose lowest point is higher than this stands on another, or is part of it."""
 
-_LIKELY = 0.7
+_LIKELY = 0.8
 """Two objects taken for one are lost; one taken for two is mended where both parts move alike."""
 
 _GAP_M, _PROBES = 0.02, 400
@@ -125,6 +125,13 @@ def kinship(one: FusedModel, other: FusedModel) -> float:
     a, b = (_piece(model.points, model.colors) for model in (one, other))
     compact = _within(*_by_size(a, b)) > _WITHIN or _spread(a.points, b.points) < _COMPACT
     return _alike(a, b) if compact else 0.0
+
+
+def share_within(one: FusedModel, other: FusedModel) -> float:
+    """Share of an object inside the outline, seen from above, of a larger one that it comes close to; 0 of a smaller."""
+    if len(one.points) >= len(other.points) or not are_close(one.points, other.points):
+        return 0.0
+    return _within(one.points.astype(np.float64), other.points.astype(np.float64))
 
 
 def are_close(one: Float, other: Float) -> bool:
