@@ -128,7 +128,7 @@ def kinship(one: FusedModel, other: FusedModel) -> float:
 
 
 def share_within(one: FusedModel, other: FusedModel) -> float:
-    """Share of an object inside the outline, seen from above, of a larger one that it comes close to; 0 of a smaller."""
+    """Share of an object inside the outline, seen from above, of a larger one that it comes close to."""
     if len(one.points) >= len(other.points) or not are_close(one.points, other.points):
         return 0.0
     return _within(one.points.astype(np.float64), other.points.astype(np.float64))

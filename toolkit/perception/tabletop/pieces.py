@@ -23,7 +23,7 @@ from toolkit.geometry import invert
 from toolkit.perception.tabletop.creases import smooth_parts
 from toolkit.perception.tabletop.joining import Pieces, join_pieces
 from toolkit.perception.tabletop.labels import nearest_label
-from toolkit.perception.tabletop.relief import Relief, reliefs
+from toolkit.perception.tabletop.relief import Relief, survey
 from toolkit.perception.tabletop.table import Table, find_table
 from toolkit.types import Float, Frame, Mask
 
@@ -112,10 +112,10 @@ def objects_on_table(frames: Sequence[Frame], min_height: float, min_pixels: int
 @lru_cache(maxsize=2)
 def _objects(frames: tuple[Frame, ...], min_height: float, min_pixels: int) -> Objects:
     table = find_table(frames)
-    seen = reliefs(table, min_height)
+    reliefs = survey(table, min_height)
     found = {frame.index: np.zeros(frame.rgb.shape[:2], np.int32) for frame in frames}
-    cut, whole = cut_objects(seen, table, min_pixels)
-    for r, labels in zip(seen, cut, strict=True):
+    cut, whole = cut_objects(reliefs, table, min_pixels)
+    for r, labels in zip(reliefs, cut, strict=True):
         found[r.frame.index] = _with_borders(labels, r.unsure)
     return Objects(found, whole)
 
@@ -126,23 +126,23 @@ def _with_borders(labels: NDArray[np.int32], free: Mask) -> NDArray[np.int32]:
     return np.where((labels == 0) & free & (gap <= _BORDER_PX), nearest_label(labels), labels)
 
 
-def cut_objects(seen: Sequence[Relief], table: Table, min_pixels: int) -> tuple[list[NDArray[np.int32]], Float]:
+def cut_objects(reliefs: Sequence[Relief], table: Table, min_pixels: int) -> tuple[list[NDArray[np.int32]], Float]:
     """Label the objects on the table, in every frame by the same numbers.
 
     Args:
-        seen: of the frames that see the table.
+        reliefs: of the frames that see the table.
         table: the table.
         min_pixels: smaller objects, all frames together, are dropped.
 
     Returns:
         One (H, W) int32 for every relief: 0 for none, else the object, 1..n; and (n,) how likely each is a whole one.
     """
-    if not any(r.things.any() for r in seen):
-        return [np.zeros(r.things.shape, np.int32) for r in seen], np.zeros(0)
-    voxels, pieces = cut_pieces(seen, table)
+    if not any(r.things.any() for r in reliefs):
+        return [np.zeros(r.things.shape, np.int32) for r in reliefs], np.zeros(0)
+    voxels, pieces = cut_pieces(reliefs, table)
     objects, whole = join_pieces(pieces)
     owner = objects[voxels.of_pixel]
-    certain = np.concatenate([r.certain[r.things] for r in seen])
+    certain = np.concatenate([r.certain[r.things] for r in reliefs])
     count = int(objects.max()) + 1
     known = owner >= 0
     pixels = np.bincount(owner[known], minlength=count)
@@ -151,42 +151,42 @@ def cut_objects(seen: Sequence[Relief], table: Table, min_pixels: int) -> tuple[
     kept = (pixels >= min_pixels) & (sure >= min(_LEAST_CERTAIN_PX, min_pixels)) & (area >= _LEAST_OBJECT_M2)
     number = np.append(np.cumsum(kept) * kept, 0).astype(np.int32)
     labels: list[NDArray[np.int32]] = []
-    for k, r in enumerate(seen):
+    for k, r in enumerate(reliefs):
         label = np.zeros(r.things.shape, np.int32)
         label[r.things] = number[owner[voxels.frame_of_pixel == k]]
         labels.append(label)
     return labels, whole[kept]
 
 
-def cut_pieces(seen: Sequence[Relief], table: Table) -> tuple[Voxels, Pieces]:
+def cut_pieces(reliefs: Sequence[Relief], table: Table) -> tuple[Voxels, Pieces]:
     """The voxels on the table, and the smooth pieces they fall into, before any are joined."""
-    voxels = _voxels(seen)
-    there, voxels = _standing(voxels, ~(_seen_through(seen, table, voxels) | voxels.elsewhere))
+    voxels = _voxels(reliefs)
+    there, voxels = _standing(voxels, ~(_seen_through(reliefs, table, voxels) | voxels.elsewhere))
     pieces = _flooded(_cores(voxels, there), voxels, there)
-    colours = np.concatenate([r.frame.rgb[r.things] for r in seen])
+    colours = np.concatenate([r.frame.rgb[r.things] for r in reliefs])
     return voxels, Pieces(pieces, voxels.center, voxels.pairs, voxels.concave, voxels.of_pixel, colours, voxels.cell)
 
 
-def _voxels(seen: Sequence[Relief]) -> Voxels:
-    places = np.concatenate([r.places[r.things] for r in seen]).astype(np.float64)
-    frame_of = np.repeat(np.arange(len(seen)), [int(r.things.sum()) for r in seen])
-    cell = max(_CELL_M, _CELL_PIXELS * max(_pixel_m(r) for r in seen if r.things.any()))
+def _voxels(reliefs: Sequence[Relief]) -> Voxels:
+    places = np.concatenate([r.places[r.things] for r in reliefs]).astype(np.float64)
+    frame_of = np.repeat(np.arange(len(reliefs)), [int(r.things.sum()) for r in reliefs])
+    cell = max(_CELL_M, _CELL_PIXELS * max(_pixel_m(r) for r in reliefs if r.things.any()))
     cells = np.floor((places - places.min(axis=0)) / cell).astype(np.int64) + 1
     spans = cells.max(axis=0) + 2
     stride = np.array([1, spans[0], spans[0] * spans[1]])
     keys, of_pixel, counts = np.unique(cells @ stride, return_inverse=True, return_counts=True)
     n = len(keys)
     center = np.stack([np.bincount(of_pixel, axis, n) for axis in places.T], axis=1) / counts[:, None]
-    parts, angles = np.full((n, len(seen)), -1, np.int64), np.zeros(len(places))
+    parts, angles = np.full((n, len(reliefs)), -1, np.int64), np.zeros(len(places))
     elsewhere = np.zeros(n, bool)
-    for k, r in enumerate(seen):
+    for k, r in enumerate(reliefs):
         smooth, concave = smooth_parts(r)
         own = frame_of == k
         angles[own] = concave[r.things]
         numbers, beyond = _part_numbers(smooth, r.things)
         parts[:, k] = _most_common(of_pixel[own], numbers[r.things], n)
         elsewhere |= (parts[:, k] >= 0) & beyond[parts[:, k]]
-    seen = np.zeros((n, len(seen)), bool)
+    seen = np.zeros((n, len(reliefs)), bool)
     seen[of_pixel, frame_of] = True
     pairs, face = _neighbours(keys, stride)
     return Voxels(
@@ -236,11 +236,11 @@ def _neighbours(keys: NDArray[np.int64], stride: NDArray[np.int64]) -> tuple[NDA
     return np.concatenate(pairs), np.concatenate(face)
 
 
-def _seen_through(seen: Sequence[Relief], table: Table, voxels: Voxels) -> Mask:
+def _seen_through(reliefs: Sequence[Relief], table: Table, voxels: Voxels) -> Mask:
     """(V,) bool: more frames look through the voxel than see it."""
     world = voxels.center @ table.T_world_table[:3, :3].T + table.T_world_table[:3, 3]
     against = np.zeros(len(world), np.int64)
-    for k, r in enumerate(seen):
+    for k, r in enumerate(reliefs):
         assert r.frame.depth is not None
         camera, T = r.frame.camera, invert(r.frame.camera.T_world_camera)
         points = world @ T[:3, :3].T + T[:3, 3]

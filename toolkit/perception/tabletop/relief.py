@@ -55,7 +55,7 @@ class Relief:
 
 
 @lru_cache(maxsize=4)
-def reliefs(table: Table, min_height: float) -> tuple[Relief, ...]:
+def survey(table: Table, min_height: float) -> tuple[Relief, ...]:
     """One relief for each frame that sees the table; arguments as `relief`. Those of the last tables are kept."""
     return tuple(relief(frame, plane, table, min_height) for frame, plane in table.seen())
 
