@@ -153,14 +153,19 @@ class CachedSegmenter(_CachedStage):
         count = int(np.prod(frame.rgb.shape[:2]))
         masks = np.unpackbits(arrays["masks"], axis=1, count=count).astype(bool)
         shape = frame.rgb.shape[:2]
-        return [Segment(m.reshape(shape), float(s)) for m, s in zip(masks, arrays["scores"], strict=True)]
+        found = zip(masks, arrays["scores"].tolist(), arrays["instances"].tolist(), strict=True)
+        return [Segment(m.reshape(shape), score, None if i < 0 else i) for m, score, i in found]
 
 
 def _pack_segments(segments: Sequence[Segment], frame: Frame) -> Arrays:
     flat = np.zeros((len(segments), int(np.prod(frame.rgb.shape[:2]))), bool)
     for row, segment in zip(flat, segments, strict=True):
         row[:] = segment.mask.ravel()
-    return {"masks": np.packbits(flat, axis=1), "scores": np.array([s.score for s in segments])}
+    return {
+        "masks": np.packbits(flat, axis=1),
+        "scores": np.array([s.score for s in segments]),
+        "instances": np.array([-1 if s.instance is None else s.instance for s in segments], np.int64),
+    }
 
 
 class CachedDescriptor(_CachedStage):
