@@ -161,7 +161,7 @@ def _stored(image: NDArray[Any], kind: str | None, orientation: int) -> NDArray[
 
 def _open(path: Path) -> tuple[Pictures.Image, int]:
     """A decoded picture and its EXIF orientation. What follows its end is not looked at."""
-    data = _read(path)
+    data = read_bytes(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about metadata; pixels that cannot be had raise
@@ -174,7 +174,8 @@ def _open(path: Path) -> tuple[Pictures.Image, int]:
     return picture, orientation if orientation in range(1, 9) else 1
 
 
-def _read(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a file; raises ToolkitError where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -183,7 +184,7 @@ def _read(path: Path) -> bytes:
 
 def _read_npy(path: Path) -> NDArray[Any]:
     try:
-        return np.asarray(np.load(BytesIO(_read(path)), allow_pickle=False))
+        return np.asarray(np.load(BytesIO(read_bytes(path)), allow_pickle=False))
     except (ValueError, EOFError, OSError) as error:
         raise ToolkitError(f"'{path}' is truncated or not a NumPy array; write it with numpy.save") from error
 
@@ -194,7 +195,7 @@ def _read_exr(path: Path) -> Float:
     except ImportError as error:
         raise ToolkitError(f"'{path}' needs OpenEXR: pip install 'rearrange-toolkit[exr]'") from error
     try:
-        _read(path)
+        read_bytes(path)
         channels: dict[str, Any] = OpenEXR.File(str(path)).channels()
         name = next((name for name in ("Z", "Y", "V", "R", "RGB", "RGBA") if name in channels), next(iter(channels)))
         pixels = np.asarray(channels[name].pixels)

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from toolkit.data.bop.images import read_bytes
 from toolkit.data.bop.masks import masked_scenes
 from toolkit.data.bop.notes import Notes
 from toolkit.data.bop.scene import SceneFolder
@@ -50,11 +51,15 @@ def load_capture(folder: Path, masks: Path | None = None) -> Capture:
 
 
 def capture_digest(folder: Path) -> str:
-    """sha256 hex over the names and bytes of every file of a capture folder; nothing is decoded."""
+    """sha256 hex over the names and bytes of every file of a capture folder; nothing is decoded.
+
+    Raises:
+        ToolkitError: a file cannot be read.
+    """
     hasher = hashlib.sha256()
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        hasher.update(str(path.relative_to(folder)).encode() + b"\0")
-        hasher.update(hashlib.sha256(path.read_bytes()).digest())
+        hasher.update(str(path.relative_to(folder)).encode(errors="surrogateescape") + b"\0")
+        hasher.update(hashlib.sha256(read_bytes(path)).digest())
     return hasher.hexdigest()
 
 

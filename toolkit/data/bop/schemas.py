@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -13,6 +12,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from toolkit.errors import ToolkitError
 
 _MOST = 2**31 - 1
+_LARGEST = 1e12
+"""No length, in millimetres or pixels, is as large; squares and products of what is smaller are finite."""
+
 _SHOWN = 60
 """Characters of a wrong value that an answer quotes."""
 
@@ -32,7 +34,7 @@ def _flat(value: Any) -> Iterable[Any]:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -_LARGEST < value < _LARGEST:
         raise ValueError
     return float(value)
 
