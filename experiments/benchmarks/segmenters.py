@@ -65,7 +65,7 @@ def main() -> None:
         parser.error(f"there is no capture in '{empty[0]}'")
     console = Console()
     console.print(
-        f"Recall and precision at IoU {MATCH_IOU}, mean IoU of the matches, 95 % intervals; median ms an image,"
+        f"Recall and precision at IoU {MATCH_IOU}, mean IoU of the matches, 95 % intervals; median ms per image,"
     )
     console.print("what the scene's first image learns included.\n")
     console.print("| captures | segmenter | images | recall | precision | mean IoU | ms |")

@@ -46,9 +46,9 @@ def toolkit(*arguments: object, folder: Path | None = None, **environment: str) 
 
 
 def own_process(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """What a command answers in a process of its own."""
+    """What a command answers in a process of its own; it imports what is tested (-P), not the folder it is in."""
     return subprocess.run(
-        [sys.executable, "-c", START, *map(str, arguments)],
+        [sys.executable, "-P", "-c", START, *map(str, arguments)],
         env={**os.environ, **TERMINAL, **environment},
         cwd=folder,
         capture_output=True,
@@ -154,7 +154,7 @@ def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[toolkit.matchers]\nbad = no_such_module:Matcher\n")
     done = subprocess.run(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", "list", "matcher"],
+        [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", "list", "matcher"],
         env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}", "COLUMNS": "200"},
         capture_output=True,
         text=True,
@@ -173,7 +173,7 @@ def test_doctor_says_what_the_machine_has():
         "JAX's devices: ",
         "cores:",
         "torch",
-        "simulator:",
+        "renderer:",
         "cache:",
     ):
         assert word in done.stdout
