@@ -5,7 +5,7 @@ toolkit dataset build test/wild --scenes 12 --seed 21 --set track=wild --objects
 python experiments/benchmarks/trust.py --train train/* --test test/*
 
 Masks are the pipeline's own. A placement is right if its segment is a labelled object's, by an IoU of 0.5, and its
-motion, once refined, is that object's within 5 degrees and 2 cm, symmetries considered. The rest, clutter too, is wrong.
+motion, once refined, is that object's within 5 degrees and 2 cm, symmetries considered. The rest is wrong, clutter too.
 """
 
 from __future__ import annotations
