@@ -31,6 +31,8 @@ from toolkit.types import Float
 
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 1.0)
 SURE = 0.5
+WRONG = 4
+"""An answer that is wrong and sure costs as much as four right ones that are withheld."""
 
 
 class Listener(Explainer):
@@ -89,10 +91,10 @@ def main() -> None:
         options.keep.write_bytes(pickle.dumps((train, test)))
     names = list(train[0][0])
     X, y = table(train, names)
-    model = LogisticRegression(C=1, max_iter=5000).fit(X, y)
+    model = LogisticRegression(C=1, max_iter=5000, class_weight={0: WRONG, 1: 1}).fit(X, y)
     print(dict(zip(names, model.coef_[0].round(2).tolist(), strict=True)), "bias", model.intercept_[0].round(2))
     X, y = table(test, names)
-    p = model.predict_proba(X)[:, 1] * np.array([row[1] for row in test])
+    p = model.predict_proba(X)[:, 1] * np.array([row[0]["whole"] * row[1] for row in test])
     print("| confidence | placements | mean confidence | right |\n| --- | --- | --- | --- |")
     for low, high in pairwise(BINS):
         rows = (p >= low) & (p < high)

@@ -10,24 +10,25 @@ from toolkit.geometry import invert
 from toolkit.perception.explainers.searching.evidence import MOST_COST
 from toolkit.perception.explainers.searching.jointly import Candidate, Composition, change, compose
 from toolkit.perception.fusion import FusedModel
-from toolkit.perception.tabletop.joining import kinship, share_within
+from toolkit.perception.tabletop.joining import kinship
 from toolkit.perception.tabletop.table import Table
 from toolkit.types import Float
 
 _WEIGHTS = {
-    "agreement": 4.0,
-    "gain": 3.0,
-    "visible": 1.0,
-    "height": 1.0,
-    "alone": 1.0,
-    "clear": 1.0,
-    "lead": 1.0,
-    "size": 0.0,
-    "still": 0.5,
-    "whole": 1.0,
-    "views": 0.5,
+    "agreement": 1.6,
+    "gain": 0.33,
+    "visible": 1.82,
+    "height": 1.7,
+    "alone": 0.64,
+    "lead": 2.41,
+    "size": 2.51,
+    "still": -0.47,
+    "whole": 3.1,
+    "views": 1.74,
 }
-_BIAS = -6.0
+_BIAS = -10.04
+"""Logistic regression on procedural objects (experiments/benchmarks/trust.py); a wrong answer counts for four right ones.
+"""
 
 _TALL_M = 0.03
 _LARGE_PX = 5000.0
@@ -56,9 +57,8 @@ def judge(
     Returns:
         By name: `agreement` with the pixels it shows in; `gain` over the empty table there; `visible`, the part of it
         that nothing hides; `height` above the table; `alone`, how little it looks like a part of something larger;
-        `clear`, the part of it outside the outline of every larger object that it touches; `lead` over its next best
-        place, or over being absent; `size`; `still`, 1 where it was not moved; `whole`, the segmenter's confidence in
-        its segments; `views`, the part of the frames that saw it.
+        `lead` over its next best place, or over being absent; `size`; `still`, 1 where it was not moved; `whole`, the
+        segmenter's confidence in its segments; `views`, the part of the frames that saw it.
     """
     model, own = models[instance], chosen[instance]
     drawn = compose(chosen, background)
@@ -73,7 +73,6 @@ def judge(
         "visible": len(pixels) / max(len(own.rendering.pixels), 1),
         "height": min(float(np.percentile(heights, 95)) / _TALL_M, 1.0),
         "alone": 1 - max((kinship(model, other) for other in others), default=0.0),
-        "clear": 1 - max((share_within(model, other) for other in others), default=0.0),
         "lead": _lead(instance, chosen, options, background, model) / count / MOST_COST,
         "size": min(len(pixels) / _LARGE_PX, 1.0),
         "still": float(not own.moved),
@@ -83,8 +82,9 @@ def judge(
 
 
 def trust(judged: Mapping[str, float]) -> float:
-    """Probability 0..1, by logistic regression (experiments/benchmarks/trust.py) on what `judge` returns."""
-    return float(1 / (1 + np.exp(-(sum(_WEIGHTS[name] * value for name, value in judged.items()) + _BIAS))))
+    """Probability 0..1 that it is a whole object, times that of being right, from what `judge` returns."""
+    evidence = sum(weight * judged[name] for name, weight in _WEIGHTS.items()) + _BIAS
+    return judged["whole"] * float(1 / (1 + np.exp(-evidence)))
 
 
 def _lead(
