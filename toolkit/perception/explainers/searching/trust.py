@@ -27,8 +27,7 @@ _WEIGHTS = {
     "views": 1.74,
 }
 _BIAS = -10.04
-"""Logistic regression on procedural objects (experiments/benchmarks/trust.py); a wrong answer counts for four right ones.
-"""
+"""Logistic regression on procedural objects (experiments/benchmarks/trust.py), wrong answers counted four times."""
 
 _TALL_M = 0.03
 _LARGE_PX = 5000.0
