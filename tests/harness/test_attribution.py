@@ -35,8 +35,9 @@ def test_one_truth_is_put_in_at_a_time():
         ALL_TRUE,
     ]
     assert cells["true masks in the goal"] == plain.model_copy(
-        update={"goal_segmenter": cells[ALL_TRUE].goal_segmenter}
+        update={"goal_segmenter": cells[ALL_TRUE].goal_segmenter, "explainer": cells[ALL_TRUE].explainer}
     )
+    assert (plain.explainer.name, cells[ALL_TRUE].explainer.name) == ("perch", "none")
     assert cells["true retrieval"].assignment == "truth" and plain.assignment == "global"
     assert {cells[ALL_TRUE].segmenter.name, cells[ALL_TRUE].associator.name} == {"oracle"}
 

@@ -16,6 +16,8 @@ _TRUTHS: dict[str, dict[str, Any]] = {
 }
 """Cell -> what it sets."""
 
+_EXPLAINED = ("true masks in the goal", "true retrieval")
+
 
 def attribution(experiment: Experiment) -> Experiment:
     """The experiment as it is, with the truth in one stage's place at a time, and with all truths at once.
@@ -30,6 +32,9 @@ def attribution(experiment: Experiment) -> Experiment:
         several = ", ".join(experiment.sweep) or ", ".join(cell.name for cell in experiment.cells)
         raise ToolkitError(f"attribution takes one setting, but '{experiment.name}' has several: {several}")
     truths = {cell: changes for cell, changes in _TRUTHS.items() if not _has(experiment.pipeline, changes)}
+    if _name(experiment.pipeline.get("explainer")) not in (None, "none"):
+        # An explainer decides on masks and instances, so it stands back where one of them is the truth.
+        truths |= {cell: {**truths[cell], "pipeline.explainer": "none"} for cell in _EXPLAINED if cell in truths}
     if not truths:
         raise ToolkitError(f"every stage of '{experiment.name}' has the truth already; there is nothing to attribute")
     everything = {path: value for changes in truths.values() for path, value in changes.items()}
