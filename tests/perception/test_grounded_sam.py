@@ -177,7 +177,7 @@ def test_a_folder_that_is_absent_foreign_or_damaged_is_one_sentence(folders, tmp
 def test_what_cannot_be_fetched_is_said_before_any_work(monkeypatch, tmp_path):
     pytest.importorskip("transformers")
 
-    def refuse(source, target, sha256=None):
+    def refuse(source, target, sha256=None, size_mb=None):
         raise OSError(f"{source}: no network")
 
     monkeypatch.delenv("TOOLKIT_WEIGHTS", raising=False)
@@ -190,7 +190,7 @@ def test_what_cannot_be_fetched_is_said_before_any_work(monkeypatch, tmp_path):
 def test_companions_are_fetched_beside_the_checkpoint(monkeypatch, tmp_path):
     fetched = []
 
-    def deliver(source, target, sha256=None):
+    def deliver(source, target, sha256=None, size_mb=None):
         fetched.append(source)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text("{}")
