@@ -47,10 +47,13 @@ _frame_digests: weakref.WeakKeyDictionary[Frame, str] = weakref.WeakKeyDictionar
 def frame_digest(frame: Frame) -> str:
     """sha256 hex of everything a stage may read from a frame."""
     if frame not in _frame_digests:
-        masks = {str(key): np.packbits(mask) for key, mask in (frame.true_masks or {}).items()}
+        true, own = (
+            masks and {str(key): np.packbits(mask) for key, mask in masks.items()}
+            for masks in (frame.true_masks, frame.own_masks)
+        )
         camera = frame.camera
         _frame_digests[frame] = digest(
-            [frame.index, frame.rgb, frame.depth, camera.K, camera.T_world_camera, masks, frame.true_masks is None]
+            [frame.index, frame.rgb, frame.depth, camera.K, camera.T_world_camera, true, own]
         )
     return _frame_digests[frame]
 

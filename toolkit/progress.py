@@ -21,7 +21,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a line above the bar."""
         if self._console is not None:
-            self._console.print(text, highlight=False, markup=False)
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     @contextmanager
     def step(self, title: str, total: int) -> Generator[Advance]:

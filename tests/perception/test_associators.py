@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -54,6 +56,14 @@ def capture(
             regions.append(region)
             owners.append(o)
     return frames, regions, np.array(owners)
+
+
+def followed(regions: list[Region], owners: NDArray[np.int64]) -> list[Region]:
+    """The regions as a segmenter gives them that follows objects from frame to frame."""
+    return [
+        replace(region, segment=replace(region.segment, instance=int(owner)))
+        for region, owner in zip(regions, owners, strict=True)
+    ]
 
 
 def same_partition(a: NDArray[np.int64], b: NDArray[np.int64]) -> bool:
@@ -167,3 +177,13 @@ def test_the_scene_is_what_it_says() -> None:
     camera = frames[0].camera
     pixels, _ = project(K, np.linalg.inv(camera.T_world_camera), regions[0].points.astype(np.float64))
     assert np.abs(pixels - regions[0].pixels).max() < 1e-2
+
+
+def test_kmeans_takes_the_word_of_a_segmenter_that_follows_objects() -> None:
+    """Even where it speaks against the places of regions; where one region is not followed, places decide."""
+    frames, regions, owners = capture([(0.0, 0.1, 0.04), (0.2, 0.0, 0.05)])
+    crossed = np.arange(len(owners)) % 2 + 5
+    word = ASSOCIATORS.create("kmeans").associate(followed(regions, crossed), frames)
+    assert same_partition(word, crossed) and word[0] == 0
+    partly = [*followed(regions[:-1], crossed[:-1]), regions[-1]]
+    assert same_partition(ASSOCIATORS.create("kmeans").associate(partly, frames), owners)

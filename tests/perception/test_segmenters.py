@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -185,3 +186,17 @@ def test_a_neck_parts_two_discs() -> None:
     parts = list(neck_cuts(left | right))
     assert max(float((p & right).sum() / (p | right).sum()) for p in parts) > 0.9
     assert list(neck_cuts(left)) == []
+
+
+def test_own_masks_are_given_back_and_followed_where_their_numbers_say_so() -> None:
+    frame = ring(NOW)[0]
+    loose, named = (SEGMENTERS.create("masks", {"instances": on}).segment(frame, []) for on in (False, True))
+    assert [s.instance for s in loose] == [None] * 3 and [s.instance for s in named] == [1, 2, 3]
+    assert frame.own_masks is not None
+    for segments in (loose, named):
+        np.testing.assert_array_equal([s.mask for s in segments], list(frame.own_masks.values()))
+
+
+def test_without_own_masks_a_sentence_says_where_they_belong() -> None:
+    with pytest.raises(ToolkitError, match=r"frame 0 has none; put them into mask_visib/"):
+        SEGMENTERS.create("masks").segment(replace(ring(NOW)[0], own_masks=None), [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import http.server
 import io
+import os
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from toolkit.cli.commands import app
 from toolkit.errors import ToolkitError
 from toolkit.stages import MATCHERS
 from toolkit.weights import cards, packages, resolve, sources
+from toolkit.weights.arrivals import require_plausible
 from toolkit.weights.cards import CARDS, WeightCard
 from toolkit.weights.download import download, source_url
 from toolkit.weights.load import fill, read_tensors
@@ -30,9 +32,19 @@ CONTENT = np.random.default_rng(0).bytes(600_000)
 
 
 class _Server(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT, with ranges; /cut ends half-way."""
+    """Serves CONTENT, with ranges; /cut ends half-way, /page is a login page and /away sends on to /whole."""
 
     def do_GET(self):
+        if self.path == "/away":
+            self.send_response(302)
+            self.send_header("Location", f"http://localhost:{self.server.server_port}/whole")
+            return self.end_headers()
+        if self.path == "/page":
+            body = b"\n<!DOCTYPE html><html>Please log in</html>"
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            return self.wfile.write(body)
         start = int(self.headers.get("Range", "bytes=0-").removeprefix("bytes=").removesuffix("-"))
         if start >= len(CONTENT):
             return self.send_error(416)
@@ -289,3 +301,84 @@ def test_list_where_and_pull_tell_what_is_here(card, monkeypatch, tmp_path):
     assert str(tmp_path / "cache" / "weights" / "test.bin") in run.invoke(app, ["weights", "where", "test"]).stdout
     with pytest.raises(ToolkitError, match="did you mean 'test'"):
         run.invoke(app, ["weights", "pull", "tset"], catch_exceptions=False)
+
+
+def test_a_web_page_is_never_kept(card, server, tmp_path, monkeypatch):
+    monkeypatch.setitem(cards.CARDS, "test", replace(card, sources=(f"{server}/page",)))
+    with pytest.raises(ToolkitError, match="delivers a web page; is there a login page or a proxy in between"):
+        resolve.resolve_weights("test")
+    assert list((tmp_path / "cache" / "weights").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "said"),
+    [
+        ("a.ckpt", b"PK\x03\x04", None),
+        ("a.pth", b"\x80\x02", None),
+        ("a.safetensors", b"\x40\0\0\0\0\0\0\0{", None),
+        ("a.onnx", b"\x08\x07", None),
+        ("config.json", b"{", None),
+        ("a.bin", b"anything", None),
+        ("a.ckpt", b"version https://git-lfs.github.com/spec/v1", "is no .ckpt file"),
+        ("a.safetensors", b"\x40\0\0\0\0\0\0\0[", "is no .safetensors file"),
+        ("config.json", b"Not found", "is no .json file"),
+        ("a.bin", b" <HTML>", "delivers a web page"),
+    ],
+)
+def test_without_a_digest_type_and_size_must_fit(tmp_path, name, begin, said):
+    path = tmp_path / name
+    path.write_bytes(begin.ljust(1_000_000, b"."))
+    if said is None:
+        require_plausible(path, path.suffix, 1.1, "https://x")
+        with pytest.raises(OSError, match=r"is of 1\.0 MB instead of about 46 MB"):
+            require_plausible(path, path.suffix, 46, "https://x")
+    else:
+        with pytest.raises(OSError, match=said):
+            require_plausible(path, path.suffix, 1.1, "https://x")
+
+
+def test_without_the_hubs_library_mirror_and_token_are_honoured(server, tmp_path, monkeypatch):
+    """The token goes to the hub only, not to where it sends on to."""
+    monkeypatch.setattr(sources, "has_hub", lambda: False)
+    monkeypatch.setenv("HF_ENDPOINT", f"{server}/")
+    monkeypatch.setenv("HF_TOKEN", "secret")
+    seen = []
+    plain = _Server.do_GET
+
+    def answer(self):
+        seen.append((self.path, self.headers.get("Authorization")))
+        self.path = "/away" if self.path.startswith("/owner") else self.path
+        return plain(self)
+
+    monkeypatch.setattr(_Server, "do_GET", answer)
+    sources.fetch("hf://owner/repo/sub/file.bin", tmp_path / "file.bin")
+    assert (tmp_path / "file.bin").read_bytes() == CONTENT
+    assert seen == [("/owner/repo/resolve/main/sub/file.bin", "Bearer secret"), ("/whole", None)]
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    with pytest.raises(OSError, match=r"\$HF_HUB_OFFLINE is set"):
+        sources.fetch("hf://owner/repo/sub/file.bin", tmp_path / "other.bin")
+
+
+def test_what_the_hubs_cache_holds_is_not_fetched(tmp_path):
+    """Offline, in a process of its own: the library reads its settings when it is imported."""
+    pytest.importorskip("huggingface_hub")
+    repo = tmp_path / "hub" / "models--owner--repo"
+    for path, text in ((repo / "refs/main", "a" * 40), (repo / "snapshots" / ("a" * 40) / "sub/file.bin", "mine")):
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+    code = (
+        "import sys; from pathlib import Path; from toolkit.weights.sources import fetch\n"
+        "fetch('hf://owner/repo/sub/file.bin', Path(sys.argv[1]))\n"
+        "try: fetch('hf://owner/repo/other.bin', Path(sys.argv[1] + '2'))\n"
+        "except OSError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "file.bin")],
+        env={**os.environ, "HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (tmp_path / "file.bin").read_text() == "mine"
+    assert done.stdout.startswith("huggingface_hub cannot fetch owner/repo/other.bin: ")
+    assert done.stdout.count("\n") == 1 and not done.stderr

@@ -19,14 +19,21 @@ def estimate(
     capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
     experiment: ExperimentArgument = "estimate",
     out: OutOption = None,
+    masks: Annotated[
+        Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder: no segmenter is asked.")
+    ] = None,
     *,
     choices: dict[str, Any],
 ) -> None:
     """Estimate the motion of every object of one capture: poses.json, and pictures to judge them by."""
+    from toolkit.data.bop import masked_scenes
     from toolkit.harness.estimate import estimate_folder, poses_table
 
     folder = out or Path("runs") / "estimate" / capture.resolve().name
-    estimates = estimate_folder(capture, read_cell(experiment, choices), folder)
+    if masks is not None:
+        slots = {"current": "segmenter", "goal": "goal_segmenter"}
+        choices |= {slots[scene]: ["masks"] for scene in masked_scenes(masks)}
+    estimates = estimate_folder(capture, read_cell(experiment, choices), folder, bars(), masks)
     say(poses_table(estimates), f"\nWritten: {folder / 'poses.json'}")
 
 

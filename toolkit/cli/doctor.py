@@ -6,11 +6,12 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from toolkit import __version__
 from toolkit.errors import ToolkitError
-from toolkit.harness.cache import library_versions
 from toolkit.parallel import cores
 from toolkit.paths import cache_root
 from toolkit.sim.bullet import best_renderer, require_pybullet
@@ -21,8 +22,10 @@ def diagnose() -> Iterator[str]:
     """Yield one finding a line."""
     yield f"toolkit {__version__}, Python {platform.python_version()}, {platform.platform()}"
     yield f"cores: {cores()}"
-    yield "libraries: " + ", ".join(f"{name} {number}" for name, number in library_versions().items())
-    yield f"accelerator: {_accelerator()}"
+    yield "imported: " + ", ".join(_imported(module) for module in _MODULES)
+    yield from _opencvs()
+    yield f"torch's devices: {_torch_devices()}"
+    yield f"JAX's devices: {_jax_devices()}"
     yield f"simulator: {_simulator()}"
     yield f"cache: {cache_root()} ({_cache_state()})"
     for registry in REGISTRIES.values():
@@ -34,10 +37,54 @@ def diagnose() -> Iterator[str]:
     yield f"interpreter: {sys.executable}"
 
 
-def _accelerator() -> str:
+_MODULES = ("numpy", "scipy", "cv2", "torch", "kornia", "onnxruntime", "jax", "faiss", "poselib", "PIL", "pydantic")
+"""What stage outputs depend on most."""
+
+_OPENCVS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+
+
+def _imported(module: str) -> str:
+    """Name and version of what an import really gives, which need not be what pip lists."""
+    try:
+        loaded = import_module(module)
+    except Exception as error:
+        # A broken wheel may raise anything while it is imported.
+        return f"{module} (not to be imported: {' '.join(str(error).split())})"
+    return f"{module} {getattr(loaded, '__version__', '(states no version)')}"
+
+
+def _opencvs() -> Iterator[str]:
+    """A finding where several distributions fill the one folder cv2: which files it holds depends on their order."""
+    there = [f"{name} {version(name)}" for name in _OPENCVS if _is_installed(name)]
+    if len(there) > 1:
+        yield (
+            f"broken: {' and '.join(there)} overwrite each other's cv2; pip uninstall all of them, "
+            "then pip install opencv-python-headless"
+        )
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        version(distribution)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _torch_devices() -> str:
     import torch
 
-    return torch.cuda.get_device_name() if torch.cuda.is_available() else "none seen by torch; stages run on the CPU"
+    names = [f"cuda:{i} {torch.cuda.get_device_name(i)}" for i in range(torch.cuda.device_count())]
+    return ", ".join(["cpu", *names])
+
+
+def _jax_devices() -> str:
+    import jax
+
+    try:
+        return ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in jax.devices())
+    except RuntimeError as error:
+        return f"none; {' '.join(str(error).split())}"
 
 
 def _simulator() -> str:

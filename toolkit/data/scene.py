@@ -12,12 +12,12 @@ from pydantic import Field
 
 from toolkit.data.cameras import Resolution, current_cameras, goal_camera
 from toolkit.data.conditions import Conditions, ConditionSettings, draw_conditions
-from toolkit.data.hands import Look, draw_hands
 from toolkit.data.layout import RestingObject, hull_points, resting_poses
 from toolkit.data.lookalikes import Lookalikes, with_lookalikes
 from toolkit.data.objects import ObjectAsset, ObjectSet
 from toolkit.data.placing import Stand, draw_roles, place
-from toolkit.data.props import Prop
+from toolkit.data.scenery.hands import Look, draw_hands
+from toolkit.data.scenery.props import Prop
 from toolkit.data.table import Table, draw_table
 from toolkit.data.visibility import visible_shares
 from toolkit.errors import ToolkitError

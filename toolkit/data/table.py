@@ -9,10 +9,10 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from toolkit.data import surfaces
 from toolkit.data.conditions import TableLook, TableShape
 from toolkit.data.procedural.meshes import Surface, lathe, merge, panel
-from toolkit.data.props import Prop, block
+from toolkit.data.scenery import surfaces
+from toolkit.data.scenery.props import Prop, block
 from toolkit.files import make_once
 from toolkit.geometry import rotation_z
 from toolkit.types import Float, Image

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.data import noise
-from toolkit.data.background import draw_background
 from toolkit.data.bop import write_capture
 from toolkit.data.cameras import jitter
-from toolkit.data.clutter import draw_clutter
 from toolkit.data.objects import ObjectSet
-from toolkit.data.props import AWAY
 from toolkit.data.scene import TabletopConfig, TabletopScene, draw_scene, scene_generator
+from toolkit.data.scenery.background import draw_background
+from toolkit.data.scenery.clutter import draw_clutter
+from toolkit.data.scenery.props import AWAY
 from toolkit.data.sensors import measure_depth
 from toolkit.data.table import table_files, table_prop
 from toolkit.sim.client import Client

@@ -153,8 +153,8 @@ class CachedSegmenter(_CachedStage):
         count = int(np.prod(frame.rgb.shape[:2]))
         masks = np.unpackbits(arrays["masks"], axis=1, count=count).astype(bool)
         shape = frame.rgb.shape[:2]
-        rows = zip(masks, arrays["scores"], arrays["instances"], strict=True)
-        return [Segment(mask.reshape(shape), float(s), None if i < 0 else int(i)) for mask, s, i in rows]
+        found = zip(masks, arrays["scores"].tolist(), arrays["instances"].tolist(), strict=True)
+        return [Segment(m.reshape(shape), score, None if i < 0 else i) for m, score, i in found]
 
 
 def _pack_segments(segments: Sequence[Segment], frame: Frame) -> Arrays:

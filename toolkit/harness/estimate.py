@@ -22,14 +22,23 @@ from toolkit.results.scoring import score
 from toolkit.types import Capture, PoseEstimate
 
 
-def estimate_folder(capture: Path, cell: Cell, out: Path) -> list[PoseEstimate]:
+def estimate_folder(
+    capture: Path, cell: Cell, out: Path, progress: Progress, masks: Path | None = None
+) -> list[PoseEstimate]:
     """Estimate one capture folder; writes OUT/poses.json, masks and pictures.
+
+    Args:
+        capture: the folder.
+        cell: the settings to run.
+        out: where it writes to.
+        progress: is told what of the capture was not used, or used otherwise than it is stored.
+        masks: a folder of a user's own masks, for the segmenter `masks`.
 
     Raises:
         ToolkitError: the capture cannot be read, a stage lacks something, or OUT cannot be written.
     """
     require_ready([cell])
-    return _estimate(load_capture(capture), make_runner(cell, cache=None), out)
+    return _estimate(_load(capture, progress, masks), make_runner(cell, cache=None), out)
 
 
 def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) -> list[Row]:
@@ -47,7 +56,7 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
     rows: list[Row] = []
     with progress.step("Evaluating", len(captures)) as advance:
         for scene_id, folder in enumerate(captures):
-            capture = load_capture(folder)
+            capture = _load(folder, progress)
             estimates = _estimate(capture, runner, out / capture.name)
             if capture.truth is not None and capture.goal.true_masks is not None:
                 rows += score(capture, estimates, cell=cell.name, scene_id=scene_id, weights=runner.weights)
@@ -81,6 +90,13 @@ def _motion(estimate: PoseEstimate) -> tuple[str, str]:
     points = estimate.correspondences.points
     moved = np.linalg.norm(estimate.move(points) - points, axis=1).mean()
     return f"{moved * 100:.1f}", f"{np.degrees(rotation_angle(estimate.T_goal_current[:3, :3])):.1f}"
+
+
+def _load(folder: Path, progress: Progress, masks: Path | None = None) -> Capture:
+    capture = load_capture(folder, masks)
+    for note in capture.notes:
+        progress.say(f"{capture.name}: {note}")
+    return capture
 
 
 def _estimate(capture: Capture, runner: CellRunner, out: Path) -> list[PoseEstimate]:

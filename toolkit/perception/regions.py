@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import lift, observation_vector
@@ -34,6 +35,21 @@ def lift_segment(frame: Frame, segment: Segment) -> Region | Failure:
     points = lift(camera.K, camera.T_world_camera, pixels.astype(np.float64), frame.depth[rows, columns])
     observation = observation_vector(camera.T_world_camera, points)
     return Region(frame.index, segment, points.astype(np.float32), pixels, observation)
+
+
+def followed_instances(regions: Sequence[Region]) -> NDArray[np.int64] | None:
+    """(R,) instance ids 0..K-1, numbered by first occurrence, where the segmenter followed every region's object.
+
+    None where it did not say of each of R >= 1 regions which instance it shows.
+    """
+    named = [region.segment.instance for region in regions if region.segment.instance is not None]
+    return numbered_by_occurrence(np.array(named)) if named and len(named) == len(regions) else None
+
+
+def numbered_by_occurrence(labels: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    """(R,) labels as ids 0..K-1, in the order in which they first occur."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[inverse].astype(np.int64)
 
 
 def true_owner(true_masks: Mapping[int, Mask], where: Any) -> int:

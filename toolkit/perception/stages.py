@@ -220,6 +220,7 @@ SEGMENTERS: Registry[Segmenter] = Registry(
         "oracle": "toolkit.perception.segmenters.oracle:OracleSegmenter",
         "depth_plane": "toolkit.perception.segmenters.depth_plane:DepthPlaneSegmenter",
         "grounded_sam": "toolkit.perception.segmenters.grounded_sam:GroundedSamSegmenter",
+        "masks": "toolkit.perception.segmenters.masks:MasksSegmenter",
         "mobile_sam": "toolkit.perception.segmenters.mobile_sam:MobileSamSegmenter",
         "multiview": "toolkit.perception.segmenters.multiview:MultiviewSegmenter",
         "table_appearance": "toolkit.perception.segmenters.table_appearance:TableAppearanceSegmenter",

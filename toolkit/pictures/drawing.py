@@ -118,7 +118,7 @@ def correspondences(
     Args:
         goal_rgb: (H, W, 3) uint8.
         goal_xy: (N, 2) pixels in the goal.
-        frame_rgbs: current images by frame index.
+        frame_rgbs: current images by frame index, (H', W', 3) uint8 of any sizes.
         frame_of: (N,) frame index of every correspondence.
         frame_xy: (N, 2) pixels in its frame.
         inliers: (N,) bool; green lines, the others red.
@@ -129,14 +129,14 @@ def correspondences(
     """
     best = sorted(frame_rgbs, key=lambda index: (-int(inliers[frame_of == index].sum()), index))[:_MAX_FRAMES]
     height, width = goal_rgb.shape[:2]
-    scale = 1 / len(best)
-    tiles = [cv2.resize(frame_rgbs[index], None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for index in best]
-    tile_height, tile_width = tiles[0].shape[:2]
-    picture = np.zeros((height, width + tile_width, 3), np.uint8)
+    tile_height = max(height // len(best), 1)
+    tiles = [scaled_to_height(frame_rgbs[index], tile_height) for index in best]
+    picture = np.zeros((height, width + max(tile.shape[1] for tile in tiles), 3), np.uint8)
     picture[:, :width] = goal_rgb
     for row, (index, tile) in enumerate(zip(best, tiles, strict=True)):
         top = row * tile_height
-        picture[top : top + tile_height, width : width + tile_width] = tile
+        picture[top : top + tile_height, width : width + tile.shape[1]] = tile
+        scale = np.array(tile.shape[1::-1]) / frame_rgbs[index].shape[1::-1]
         rows = np.flatnonzero(frame_of == index)
         for which, color in ((~inliers[rows], OUTLIER), (inliers[rows], INLIER)):
             for i in _evenly(rows[which], max_lines // 2 if color == OUTLIER else max_lines):
@@ -148,6 +148,15 @@ def correspondences(
     counted = f"goal: {int(inliers.sum())} inliers of {len(inliers)}"
     write_label(picture, counted, (110, 18), (255, 255, 255))
     return picture
+
+
+def scaled_to_height(picture: Image, height: int) -> Image:
+    """An image of (height, W', 3) uint8 with the same content in the same proportions."""
+    width = max(round(picture.shape[1] * height / picture.shape[0]), 1)
+    finer = height > picture.shape[0]
+    return np.asarray(
+        cv2.resize(picture, (width, height), interpolation=cv2.INTER_CUBIC if finer else cv2.INTER_AREA), np.uint8
+    )
 
 
 def _evenly(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

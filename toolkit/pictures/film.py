@@ -17,6 +17,7 @@ from trimesh.visual.material import PBRMaterial
 from toolkit.data.objects import ObjectAsset
 from toolkit.data.tabletop import TabletopScene
 from toolkit.errors import ToolkitError
+from toolkit.pictures.drawing import scaled_to_height
 from toolkit.pictures.recording import load_rerun, log_box, log_camera, log_picture, recording
 from toolkit.types import Float, Image
 
@@ -96,9 +97,9 @@ class Film:
             self._on_frame(self._frames / _FRAMES_PER_S)
         self._frames += frames
         now = self._executor.snapshot()
-        goal = cv2.resize(self._executor.goal_picture(), now.shape[1::-1], interpolation=cv2.INTER_AREA)
+        goal = scaled_to_height(self._executor.goal_picture(), now.shape[0])
         picture = np.hstack([goal, now])
-        for text, x in (("goal", 0), ("now", picture.shape[1] // 2)):
+        for text, x in (("goal", 0), ("now", goal.shape[1])):
             cv2.putText(picture, text, (x + 16, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2, cv2.LINE_AA)
         if self._writer is None:
             height, width = picture.shape[:2]

@@ -116,6 +116,7 @@ class Capture:
         digest: sha256 of the files it was read from.
         only_current: true objects that are not in the goal, by instance id.
         only_goal: true objects that are not in the current scene, by instance id.
+        notes: what reading it left out, changed or did not use, in sentences.
 
     Raises:
         ToolkitError: the current frames are not as said.
@@ -128,6 +129,7 @@ class Capture:
     digest: str
     only_current: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
     only_goal: Mapping[int, Placed] = field(default_factory=dict[int, Placed])
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require(len(self.current) > 0, f"capture {self.name}: there is no current frame")

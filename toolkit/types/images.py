@@ -60,6 +60,7 @@ class Frame:
         camera: the camera that took it.
         depth: (H, W) float32 metres along z, 0 where nothing was measured; None for a goal image.
         true_masks: object id -> (H, W) bool visible mask, where the truth is known; else None.
+        own_masks: number -> (H, W) bool mask that a user brought with the image, disjoint; None where there are none.
 
     Raises:
         ToolkitError: an array has another size or type than its camera says, or depth is not in metres: it is of whole
@@ -71,18 +72,18 @@ class Frame:
     camera: Camera
     depth: Float | None = None
     true_masks: Mapping[int, Mask] | None = None
+    own_masks: Mapping[int, Mask] | None = None
 
     def __post_init__(self) -> None:
         name, size = f"frame {self.index}", (self.camera.height, self.camera.width)
         freeze(self, rgb=checked(self.rgb, (*size, 3), np.uint8, f"{name}: rgb"))
         if self.depth is not None:
             freeze(self, depth=_checked_depth(self.depth, size, f"{name}: depth"))
-        if self.true_masks is not None:
-            masks = {
-                key: checked(mask, size, np.bool_, f"{name}: mask of object {key}")
-                for key, mask in self.true_masks.items()
-            }
-            freeze(self, true_masks=masks)
+        for which in ("true_masks", "own_masks"):
+            masks: Mapping[int, Mask] | None = getattr(self, which)
+            if masks is not None:
+                what = f"{name}: mask of object"
+                freeze(self, **{which: {k: checked(mask, size, np.bool_, f"{what} {k}") for k, mask in masks.items()}})
 
 
 def _checked_depth(depth: Float, size: tuple[int, int], what: str) -> Float:

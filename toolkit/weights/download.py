@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import urllib.error
 import urllib.request
 from contextlib import suppress
@@ -14,13 +15,15 @@ from toolkit.progress import Progress
 _CHUNK = 1 << 18
 _TIMEOUT_S = 20
 _RANGE_REFUSED = 416
+_HUB = "hf://"
 
 
 def source_url(source: str) -> str:
-    """`hf://owner/repo/file` as the URL it stands for; https:// addresses as they are."""
-    if source.startswith("hf://"):
-        owner, repo, file = source.removeprefix("hf://").split("/", 2)
-        return f"https://huggingface.co/{owner}/{repo}/resolve/main/{file}"
+    """`hf://owner/repo/file` as the URL it stands for, below $HF_ENDPOINT; https:// addresses as they are."""
+    if source.startswith(_HUB):
+        owner, repo, file = source.removeprefix(_HUB).split("/", 2)
+        endpoint = os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
+        return f"{endpoint}/{owner}/{repo}/resolve/main/{file}"
     return source
 
 
@@ -46,8 +49,13 @@ def download(source: str, target: Path, left: Path) -> None:
 
 
 def _receive(source: str, target: Path, title: str) -> None:
+    if source.startswith(_HUB) and os.environ.get("HF_HUB_OFFLINE", "0").lower() not in ("", "0", "false", "no", "off"):
+        raise OSError(f"{source} is not asked for: $HF_HUB_OFFLINE is set")
     have = target.stat().st_size if target.is_file() else 0
     request = urllib.request.Request(source_url(source), headers={"Range": f"bytes={have}-"} if have else {})
+    token = os.environ.get("HF_TOKEN")
+    if token and source.startswith(_HUB):
+        request.add_unredirected_header("Authorization", f"Bearer {token}")
     try:
         answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
     except urllib.error.HTTPError as error:
@@ -57,6 +65,8 @@ def _receive(source: str, target: Path, title: str) -> None:
         target.unlink()
         return _receive(source, target, title)
     with answer:
+        if answer.headers.get_content_type() == "text/html":
+            raise OSError(f"{source} answers with a web page; is there a login page or a proxy in between?")
         resumed = answer.status == 206
         length = int(answer.headers.get("Content-Length", 0))
         expected = length + (have if resumed else 0) if length else 0

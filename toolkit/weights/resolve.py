@@ -92,7 +92,7 @@ def _fetch(card: WeightCard) -> Path:
     reasons: list[str] = []
     for source in card.sources:
         try:
-            fetch(source, target, card.sha256)
+            fetch(source, target, card.sha256, card.size_mb)
             return target
         except OSError as error:
             reasons.append(str(error))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import KMeans
 
+from toolkit.perception.regions import followed_instances, numbered_by_occurrence
 from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
@@ -40,6 +41,8 @@ class KMeansAssociator(Plugin[KMeansConfig], Associator):
 
     The cloud's mean lies towards the camera, by centimetres on large objects; the middle of the cloud's box in plan
     moves less from view to view (`center: box`).
+
+    Where the segmenter followed every object from frame to frame, its word is taken.
     """
 
     stage = "associator"
@@ -49,6 +52,9 @@ class KMeansAssociator(Plugin[KMeansConfig], Associator):
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""
         if not regions:
             return np.zeros(0, np.int64)
+        followed = followed_instances(regions)
+        if followed is not None:
+            return followed
         centers = np.array([_center(region, self.config.center) for region in regions])
         frame_of = np.array([region.frame_index for region in regions])
         least = max(Counter(frame_of.tolist()).values())
@@ -58,8 +64,7 @@ class KMeansAssociator(Plugin[KMeansConfig], Associator):
                 if _conflicts(labels, frame_of) == 0:
                     break
                 labels = _cluster(centers, frame_of, k)
-        _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-        return np.argsort(np.argsort(first))[inverse].astype(np.int64)
+        return numbered_by_occurrence(labels)
 
 
 def _center(region: Region, how: str) -> Float:

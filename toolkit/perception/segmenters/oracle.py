@@ -29,7 +29,8 @@ class OracleSegmenter(Plugin[OracleSegmenterConfig], Segmenter):
         if frame.true_masks is None:
             raise ToolkitError(
                 f"the oracle segmenter needs true masks (mask_visib/), and frame {frame.index} has none; "
-                "choose another one, e.g. --segmenter depth_plane --goal-segmenter table_appearance"
+                "choose another one, e.g. --segmenter masks for masks of your own in mask_visib/, "
+                "or --segmenter depth_plane --goal-segmenter table_appearance"
             )
         masks = [frame.true_masks[key] for key in sorted(frame.true_masks)]
         return [Segment(mask) for mask in masks if mask.sum() >= self.config.min_pixels]

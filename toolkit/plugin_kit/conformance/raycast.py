@@ -88,7 +88,7 @@ def shoot(
         z = z * (1 + noise * rng.standard_normal(z.shape)) * (rng.random(z.shape) > 0.02)
         rgb = rgb + rng.normal(0, 2.5, rgb.shape)
     masks = {k: owner == k for k in range(1, len(boxes) + 1) if (owner == k).any()}
-    return Frame(index, rgb.clip(0, 255).astype(np.uint8), view, z.astype(np.float32) if depth else None, masks)
+    return Frame(index, rgb.clip(0, 255).astype(np.uint8), view, z.astype(np.float32) if depth else None, masks, masks)
 
 
 def _pattern(points: Float, number: int) -> Float:

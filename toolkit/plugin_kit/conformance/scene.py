@@ -39,7 +39,7 @@ def bare_frames() -> tuple[Frame, ...]:
 @lru_cache
 def dark_frame() -> Frame:
     """A black image of which no pixel has depth: a covered camera."""
-    return Frame(0, np.zeros((HEIGHT, WIDTH, 3), np.uint8), camera(-90), np.zeros((HEIGHT, WIDTH), np.float32), {})
+    return Frame(0, np.zeros((HEIGHT, WIDTH, 3), np.uint8), camera(-90), np.zeros((HEIGHT, WIDTH), np.float32), {}, {})
 
 
 def true_motion(object_id: int) -> Float:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolkit.data import surfaces
 from toolkit.data.procedural import textures
 from toolkit.data.procedural.meshes import Rect, Surface, loft, merge
-from toolkit.data.props import AWAY, Prop, block, sheet_of
+from toolkit.data.scenery import surfaces
+from toolkit.data.scenery.props import AWAY, Prop, block, sheet_of
 from toolkit.data.visibility import visible_shares
 from toolkit.geometry import make_transform, transform_points
 from toolkit.types import Camera, Float
@@ -27,6 +27,7 @@ _CLEAR_M = 0.01
 """... and so far outside the spheres around the objects."""
 
 _HIDES = 0.5
+"""The most that it hides of what is seen of any object."""
 
 _REACH = (0.1, 0.36)
 """How far into the picture the fingertips come, in parts of its size."""

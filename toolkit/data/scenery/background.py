@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from toolkit.data import surfaces
 from toolkit.data.procedural import textures
 from toolkit.data.procedural.meshes import Rect, Surface, merge, panel
-from toolkit.data.props import Prop, block, sheet_of
+from toolkit.data.scenery import surfaces
+from toolkit.data.scenery.props import Prop, block, sheet_of
 from toolkit.data.table import Table
 from toolkit.geometry import rotation_z
 from toolkit.types import Float, Image

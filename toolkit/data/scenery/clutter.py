@@ -8,10 +8,10 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from toolkit.data import surfaces
 from toolkit.data.procedural import textures
 from toolkit.data.procedural.meshes import Surface, lathe, panel
-from toolkit.data.props import Prop
+from toolkit.data.scenery import surfaces
+from toolkit.data.scenery.props import Prop
 from toolkit.data.table import Table
 from toolkit.geometry import rotation_z
 from toolkit.types import Float, Image
