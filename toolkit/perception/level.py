@@ -18,6 +18,9 @@ from toolkit.types import Float, Frame
 _LEVEL_DEG, _DEVIATIONS = 0.2, 3.0
 """A world is level if the measured tilt is below this, as the bowed depth of sensors makes it, or below its error."""
 
+_NEAR_M = 2.0
+"""Points are kept as float32, good for a tenth of a micrometre this near to the origin."""
+
 _LEAST_SLOPE = 0.2
 
 
@@ -27,16 +30,14 @@ def measure_level(frames: Sequence[Frame]) -> Float | None:
     Returns:
         (4, 4) T_world_table: z up from the table, y the way the first camera looks, the origin where that meets the
         table. It depends on nothing but the frames, so that captures that differ only in their world are the same in
-        it. None where the table is level already, to within what was measured, or where no table is found: the world
-        is then taken as it is.
+        it. None where the world will do as it is: the table is level in it, to within what was measured, and near; or
+        no table is found.
     """
     try:
         table = find_table(frames)
     except ToolkitError:
         return None
     normal, height, error = _plane(table)
-    if np.arctan2(np.linalg.norm(normal[:2]), normal[2]) <= max(np.radians(_LEVEL_DEG), _DEVIATIONS * error):
-        return None
     eye, right, ahead = (frames[0].camera.T_world_camera[:3, i] for i in (3, 0, 2))
     # `right` serves where the camera looks straight down; it never points along the normal then.
     x = np.cross(ahead, normal)
@@ -45,6 +46,9 @@ def measure_level(frames: Sequence[Frame]) -> Float | None:
     above = float(eye @ normal) - height
     met = eye + ahead * above / max(-float(ahead @ normal), _LEAST_SLOPE)
     origin = met - (float(met @ normal) - height) * normal
+    tilt = np.arctan2(np.linalg.norm(normal[:2]), normal[2])
+    if tilt <= max(np.radians(_LEVEL_DEG), _DEVIATIONS * error) and np.linalg.norm(origin) < _NEAR_M:
+        return None
     return orthonormalize(make_transform(np.stack([x, np.cross(normal, x), normal], axis=1), origin))
 
 
