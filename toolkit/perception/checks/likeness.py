@@ -17,7 +17,10 @@ _CELLS = 320
 """Cells along the longer side of the plan."""
 
 _PATCH, _BLUR = 16, 6.0
-_CONTRAST = 2.0
+_SMOOTH = 2.0
+"""Finer texture than this many cells is not compared: poses are off by millimetres."""
+
+_CONTRAST = 1.0
 """Grey values: patches of less local contrast than this show no texture."""
 
 _LEAST_SEEN = 0.8
@@ -28,7 +31,7 @@ class Plan:
     """An image of the table from above.
 
     Attributes:
-        texture: (N, N) float32 grey values less their local mean.
+        texture: (N, N) float32 smoothed grey values less their local mean.
         seen: (N, N) bool, where it shows bare table, or may do so.
     """
 
@@ -50,9 +53,12 @@ def plan(table: Table, camera: Camera, rgb: Image, bare: Mask) -> Plan:
     top = cv2.warpPerspective(gray, to_pixels, (_CELLS, _CELLS), flags=flags)
     weight = cv2.warpPerspective(bare.astype(np.float32), to_pixels, (_CELLS, _CELLS), flags=flags)
     seen = (weight > 0.99) & ahead
-    share = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), _BLUR)
-    mean = cv2.GaussianBlur(np.where(seen, top, 0).astype(np.float32), (0, 0), _BLUR) / np.maximum(share, 1e-3)
-    return Plan(np.where(seen, top - mean, 0).astype(np.float32), seen)
+    fine, mean = (
+        cv2.GaussianBlur(np.where(seen, top, 0).astype(np.float32), (0, 0), sigma)
+        / np.maximum(cv2.GaussianBlur(seen.astype(np.float32), (0, 0), sigma), 1e-3)
+        for sigma in (_SMOOTH, _BLUR)
+    )
+    return Plan(np.where(seen, fine - mean, 0).astype(np.float32), seen)
 
 
 def bare_plans(table: Table) -> list[Plan]:

@@ -32,9 +32,7 @@ def check_poses(sightings: Sequence[Sighting]) -> list[Finding]:
     baseline = float(np.linalg.norm(places[:, None] - places[None], axis=2).max())
     for suspect in (*AXES, *scales(height, baseline)):
         if _explains(agreement(sightings, [suspect.undo(T) for T in poses]), stated):
-            return [
-                Finding("refused", f"the current frames contradict each other, and {suspect.cause}; {suspect.remedy}")
-            ]
+            return [Finding("refused", f"the current frames contradict each other, and {suspect.sentence}")]
     for factor in (2.0, 0.5):
         resized = [sight(replace(s.frame, camera=_resized(s.frame.camera, factor))) for s in sightings]
         seen = [sighting for sighting in resized if sighting is not None]

@@ -27,6 +27,11 @@ class Suspect:
     cause: str
     remedy: str
 
+    @property
+    def sentence(self) -> str:
+        """Cause and remedy."""
+        return f"{self.cause}{' ' if self.cause.endswith('?') else '; '}{self.remedy}"
+
 
 def _unturn(T: Float) -> Float:
     V = invert(T)
@@ -83,7 +88,7 @@ def _unit(factor: float, height: float) -> str:
         return f"is depth_scale {max(factor, 1 / factor):g} times too {'large' if factor > 1 else 'small'}?"
     if factor in _UNITS:
         return f"are the poses in {_UNITS[factor]}?"
-    return f"depth is {factor:g} times what the poses say; is depth_scale right?"
+    return f"depth is {factor:g} times what the poses say, is depth_scale right?"
 
 
 def length(metres: float) -> str:
