@@ -111,6 +111,6 @@ def test_a_stages_folder_is_its_menu(stage):
 
 def test_the_command_line_starts_without_anything_heavy():
     code = "import sys, toolkit.cli.commands; print(*{name.partition('.')[0] for name in sys.modules})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
     assert "typer" in done.stdout.split()
     assert not HEAVY & set(done.stdout.split())

@@ -39,7 +39,7 @@ def run(tmp_path: Path):
 
     def run(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-c", code, *map(str, arguments)],
+            [sys.executable, "-P", "-c", code, *map(str, arguments)],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths)), "COLUMNS": "200", "NO_COLOR": "1"},
             cwd=tmp_path / "work",
             capture_output=True,
@@ -149,3 +149,4 @@ def test_the_doctor_names_it(command):
     code, said = command("doctor")
     assert code == 0
     assert f"simulator: none here; {SENTENCE}" in said
+    assert "renderer: none" in said

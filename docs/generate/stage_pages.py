@@ -21,7 +21,7 @@ _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<", "multiple_of": "multi
 
 
 def stage_pages() -> dict[str, str]:
-    """Page -> Markdown: one a stage, and an overview. Only what the toolkit itself brings is listed.
+    """Page -> Markdown: one per stage, and an overview. Only what the toolkit itself brings is listed.
 
     Raises:
         ToolkitError: an implementation does not import.

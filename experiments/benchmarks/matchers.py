@@ -83,7 +83,7 @@ class Pair:
 
 @dataclass
 class Tally:
-    """What one matcher did; one entry a crop in `extract_ms`, one a pair in the others.
+    """What one matcher did; one entry per crop in `extract_ms`, one per pair in the others.
 
     Milliseconds are the process's own, of all its threads, so that a busy machine does not change them.
     """

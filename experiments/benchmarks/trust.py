@@ -4,8 +4,8 @@ toolkit dataset build train/wild --scenes 20 --seed 31 --set track=wild         
 toolkit dataset build test/wild --scenes 12 --seed 21 --set track=wild --objects ../shared/objects
 python experiments/benchmarks/trust.py --train train/* --test test/*
 
-Masks are the pipeline's own. A placement is right if its segment covers a labelled object and its motion, once refined,
-is that object's within 5 degrees and 2 cm, symmetries considered. What no label covers, clutter too, is wrong.
+Masks are the pipeline's own. A placement is right if its segment is a labelled object's, by an IoU of 0.5, and its
+motion, once refined, is that object's within 5 degrees and 2 cm, symmetries considered. The rest is wrong, clutter too.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def samples(folder: Path) -> list[tuple[dict[str, float], float, bool, str]]:
     capture = load_capture(folder)
     assert capture.truth is not None and capture.goal.true_masks is not None
     estimates = pipeline.run(capture)
-    objects = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks, min_iou=0.3)
+    objects = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks)
     truth = {number: capture.truth[i] for i, number in objects.items() if i in capture.truth}
     rows: list[tuple[dict[str, float], float, bool, str]] = []
     for number, (placement, estimate) in enumerate(zip(listener.placements, estimates, strict=False)):

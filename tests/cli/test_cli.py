@@ -14,9 +14,11 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from toolkit import __version__
+from toolkit.cli import doctor
 from toolkit.cli.commands import main
 from toolkit.harness.experiment import load_experiment
 from toolkit.results.rows import read_rows
@@ -44,9 +46,9 @@ def toolkit(*arguments: object, folder: Path | None = None, **environment: str) 
 
 
 def own_process(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """What a command answers in a process of its own."""
+    """What a command answers in a process of its own; it imports what is tested (-P), not the folder it is in."""
     return subprocess.run(
-        [sys.executable, "-c", START, *map(str, arguments)],
+        [sys.executable, "-P", "-c", START, *map(str, arguments)],
         env={**os.environ, **TERMINAL, **environment},
         cwd=folder,
         capture_output=True,
@@ -152,7 +154,7 @@ def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[toolkit.matchers]\nbad = no_such_module:Matcher\n")
     done = subprocess.run(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", "list", "matcher"],
+        [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", "list", "matcher"],
         env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}", "COLUMNS": "200"},
         capture_output=True,
         text=True,
@@ -165,8 +167,31 @@ def test_a_broken_plugin_is_marked_and_breaks_nothing_else(tmp_path):
 def test_doctor_says_what_the_machine_has():
     done = own_process("doctor")
     assert done.returncode == 0
-    for word in ("cores:", "torch", "renderer:", "cache:"):
+    for word in (
+        f"cv2 {cv2.__version__}",
+        "torch's devices: cpu",
+        "JAX's devices: ",
+        "cores:",
+        "torch",
+        "renderer:",
+        "cache:",
+    ):
         assert word in done.stdout
+
+
+def test_doctor_names_two_opencvs_in_one_environment(monkeypatch):
+    there = {"opencv-python": "4.10", "opencv-python-headless": "5.0"}
+
+    def version(name):
+        if name not in there:
+            raise doctor.PackageNotFoundError(name)
+        return there[name]
+
+    monkeypatch.setattr(doctor, "version", version)
+    (finding,) = doctor._opencvs()
+    assert finding.startswith("broken: opencv-python 4.10 and opencv-python-headless 5.0 overwrite each other")
+    del there["opencv-python"]
+    assert not list(doctor._opencvs())
 
 
 def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
@@ -198,6 +223,23 @@ def test_estimate_needs_no_truth(capture_copy, tmp_path):
     done = toolkit("estimate", capture_copy, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert any(o["status"] == "estimated" for o in json.loads((tmp_path / "out" / "poses.json").read_text())["objects"])
+
+
+def test_own_masks_need_no_segmenter_and_what_is_left_out_is_said(capture_copy, tmp_path):
+    masks = tmp_path / "masks"
+    for scene in ("current", "goal"):
+        (capture_copy / scene / "scene_gt.json").unlink()
+        shutil.move(capture_copy / scene / "mask_visib", masks / scene)
+    (capture_copy / "current/depth/000001.png").unlink()
+    quick = ["--refiner", "none", "--pnp", "poselib", "--set", "pipeline.assignment=vote"]
+    done = toolkit("estimate", capture_copy, "--masks", masks, *quick, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "current frame 1 is left out: " in done.stderr and "000001.png' is missing" in done.stderr
+    written = json.loads((tmp_path / "out" / "poses.json").read_text())["objects"]
+    own = sorted(path.read_bytes() for path in (masks / "goal").iterdir())
+    areas = [sorted(int((cv2.imdecode(np.frombuffer(data, np.uint8), -1) > 0).sum()) for data in own)]
+    found = [(cv2.imread(str(tmp_path / "out" / entry["mask"]), -1) > 0).sum() for entry in written]
+    assert sorted(map(int, found)) == [area for area in areas[0] if area]
 
 
 def test_the_oracle_without_truth_is_a_users_mistake(capture_copy, tmp_path):

@@ -630,7 +630,10 @@ def test_an_image_without_a_mask_shows_no_object_and_is_named(bare):
     assert "images are taken to show no object (image 2)" in capture.notes[0]
 
 
-def test_a_folder_of_masks_needs_a_scene(folder, tmp_path):
+def test_a_folder_of_masks_needs_a_scene_and_masks(folder, tmp_path):
+    with pytest.raises(ToolkitError, match="goal' holds no mask; they are label images"):
+        (tmp_path / "empty/goal").mkdir(parents=True)
+        load_capture(folder, tmp_path / "empty")
     with pytest.raises(ToolkitError, match="must hold current/ and goal/"):
         load_capture(folder, tmp_path / "nowhere")
 

@@ -57,7 +57,7 @@ def lines(run: Path) -> list[dict]:
 
 def command(*arguments: object, **environment: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
+        [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
         env={**os.environ, **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions, Shard
 from toolkit.harness.worker import WorkerSetup
 from toolkit.parallel import open_workers
+from toolkit.parallel.interrupts import without_interrupts
 from toolkit.progress import Progress
 
 PIPELINE = {
@@ -160,6 +162,7 @@ def stay(_):
 GROWING = """
 from tasks import grow
 from toolkit.parallel import open_workers
+from toolkit.parallel.interrupts import without_interrupts
 
 with open_workers(2, say=print) as workers:
     first, second = list(workers.map(grow, [110] * 8)), list(workers.map(grow, [0] * 4))
@@ -169,6 +172,7 @@ print(max(size for _, size in first) > 300e6)
 STAYING = """
 from tasks import stay
 from toolkit.parallel import open_workers
+from toolkit.parallel.interrupts import without_interrupts
 
 with open_workers(2) as workers:
     list(workers.map(stay, [1, 2]))
@@ -195,6 +199,27 @@ def test_workers_end_with_their_main_process(number, tmp_path):
     os.killpg(main.pid, number) if number == signal.SIGINT else main.send_signal(number)
     main.communicate(timeout=60)
     wait_for(lambda: not any(Path("/proc", path.stem).exists() for path in tmp_path.glob("*.pid")))
+
+
+@pytest.mark.parametrize("heard_by", ["this thread", "another thread"])
+def test_ctrl_c_while_a_process_starts_is_put_off_and_not_lost(heard_by):
+    sleep = "import time; time.sleep(600)"
+    before, started, idle = signal.signal(signal.SIGINT, signal.default_int_handler), [], threading.Event()
+    other = threading.Thread(target=idle.wait)
+    other.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), without_interrupts():
+            signal.pthread_kill((threading.main_thread() if heard_by == "this thread" else other).ident, signal.SIGINT)
+            started.append(subprocess.Popen([sys.executable, "-c", sleep]))
+        started[0].send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            started[0].wait(1)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        idle.set()
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 def wait_for(ready, seconds=60):
@@ -284,7 +309,7 @@ def test_the_command_line_goes_to_a_cluster_by_its_address(folder, reference, tm
         where = json.loads(address.read_text())["address"]
         command = ["ablate", "small.yaml", "--backend", "dask", "--address", where, "--out", tmp_path / "run"]
         done = subprocess.run(
-            [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, command)],
+            [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", *map(str, command)],
             cwd=folder,
             capture_output=True,
             text=True,

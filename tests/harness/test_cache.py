@@ -82,6 +82,16 @@ def test_cached_stages_answer_as_the_stages_do(tmp_path, capture, crops):
         assert meter.take()[1] is expect_hit
 
 
+@pytest.mark.parametrize("instances", [False, True])
+def test_which_object_a_mask_is_of_is_kept(tmp_path, capture, instances):
+    segmenter = SEGMENTERS.create("masks", {"instances": instances})
+    wrapped = CachedSegmenter(segmenter, segmenter, Cache(tmp_path), Meter())
+    known = [s.instance for s in segmenter.segment(capture.goal, ())]
+    assert known == (sorted(capture.goal.own_masks) if instances else [None] * len(known))
+    for _ in range(2):
+        assert [s.instance for s in wrapped.segment(capture.goal, ())] == known
+
+
 def test_an_object_free_image_is_cached_too(tmp_path, capture):
     class Nothing(type(SEGMENTERS.create("oracle"))):
         def segment(self, frame, current):

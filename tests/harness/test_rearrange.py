@@ -336,7 +336,8 @@ def test_what_a_move_changes_is_another_sight(scene, executor):
 
 def test_what_looks_settled_in_one_of_its_equivalents_is(scene, executor):
     def symmetric(estimates):
-        return [changed(estimates[0], equivalents=np.stack([estimates[0].T_goal_current, np.eye(4)])), *estimates[1:]]
+        either = np.stack([estimates[0].T_goal_current, np.eye(4)])
+        return [changed(estimates[0], equivalents=either, ambiguity="symmetric"), *estimates[1:]]
 
     sight, _ = seen(scene, executor, symmetric)
     assert [item.settled for item in sight.layout.items] == [True, False, False]

@@ -182,7 +182,7 @@ def test_the_gauss_newton_equations_are_those_of_the_four_residuals(unaligned, m
         pixels = seen(source.shape, goal, turn, place)
         nearest = alignment._nearest(*(x.astype(jnp.float32) for x in (goal.contour, pixels)))
     monkeypatch.setattr(alignment, "_nearest", lambda queries, points: nearest)
-    level, table, part = 1, 0.001, goal.contour_weight.sum() / len(source.shape)
+    level, table, part = 1, 0.001, np.asarray(goal.contour_weight).sum() / len(source.shape)
 
     def photometric(R, t):
         return alignment._sample(goal.values[level], seen(source.points, goal, R, t))[0] - source.values[level]

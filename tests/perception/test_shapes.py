@@ -40,5 +40,5 @@ for prior in ("planar", "resting", "none"):
 
 
 def test_every_kernel_is_given_and_gives_the_shapes_it_states():
-    done = subprocess.run([sys.executable, "-c", CHECKED], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-P", "-c", CHECKED], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr or done.stdout

@@ -76,7 +76,7 @@ def test_a_new_grasper_and_motion_planner_work_in_the_arm(tmp_path):
     arguments += [word for folder in plugins for word in ("--plugin", folder / f"toolkit_my_{folder.name}.py")]
     arguments += [word for path, value in chosen.items() for word in ("--set", f"{path}={value}")]
     done = subprocess.run(
-        [sys.executable, "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
+        [sys.executable, "-P", "-c", "from toolkit.cli.commands import main; main()", *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,

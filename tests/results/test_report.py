@@ -111,7 +111,7 @@ def test_what_is_not_shown_is_said_with_what_would_show_it():
     (comparison,) = compare_cells(rows)
     assert not comparison.shown
     said = re.fullmatch(
-        r"no difference shown; one of (\d+) points most likely would have been; "
+        r"no difference shown; a difference of (\d+) points would most likely have shown; "
         r"if the 4\.2 points seen are real, about (\d+) scenes show it",
         comparison.verdict,
     )

@@ -19,14 +19,14 @@ from toolkit.stages import REGISTRIES
 
 
 def diagnose() -> Iterator[str]:
-    """Yield one finding a line."""
+    """Yield what was found, line by line."""
     yield f"toolkit {__version__}, Python {platform.python_version()}, {platform.platform()}"
     yield f"cores: {cores()}"
     yield "imported: " + ", ".join(_imported(module) for module in _MODULES)
     yield from _opencvs()
     yield f"torch's devices: {_torch_devices()}"
     yield f"JAX's devices: {_jax_devices()}"
-    yield f"simulator: {_simulator()}"
+    yield from _simulator()
     yield f"cache: {cache_root()} ({_cache_state()})"
     for registry in REGISTRIES.values():
         for entry in registry.entries():
@@ -87,13 +87,18 @@ def _jax_devices() -> str:
         return f"none; {' '.join(str(error).split())}"
 
 
-def _simulator() -> str:
+def _simulator() -> Iterator[str]:
     try:
         require_pybullet()
     except ToolkitError as error:
-        return f"none here; {error}"
-    egl = "loads here" if best_renderer() == "egl" else "does not load here"
-    return f"PyBullet; TinyRenderer always; its EGL plug-in {egl}"
+        yield f"simulator: none here; {error}"
+        yield "renderer: none without the simulator"
+        return
+    yield "simulator: PyBullet"
+    chosen = (
+        "PyBullet's EGL plug-in" if best_renderer() == "egl" else "TinyRenderer; the EGL plug-in does not load here"
+    )
+    yield f"renderer: {chosen}"
 
 
 def _cache_state() -> str:

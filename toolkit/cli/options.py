@@ -31,7 +31,7 @@ SettingsOption = Annotated[list[str], typer.Option("--set", help="path.to.key=va
 
 
 def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
-    """Add one option a slot, and --set, --plugin and --seed, to a command that takes an experiment.
+    """Add one option per slot, and --set, --plugin and --seed, to a command that takes an experiment.
 
     The command receives them as `choices`, which `read_experiment` understands.
     """
@@ -73,8 +73,10 @@ def run_options(
     objects: Annotated[str | None, typer.Option(help="'procedural', or a folder of scanned objects.")] = None,
     scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
-    backend: Annotated[str, typer.Option(help="What the processes belong to: loky, dask or ray.")] = "loky",
-    address: Annotated[str | None, typer.Option(help="A dask or ray cluster to use; else this machine.")] = None,
+    backend: Annotated[str, typer.Option(help="What starts the worker processes: loky, dask or ray.")] = "loky",
+    address: Annotated[
+        str | None, typer.Option(help="Address of a dask or ray cluster; this machine when left out.")
+    ] = None,
     shard: Annotated[str, typer.Option(help="I/N: only the I-th of N parts of the scenes.")] = "1/1",
     out: OutOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,

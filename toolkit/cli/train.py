@@ -22,7 +22,9 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
     train_objects: Annotated[
         Path | None,
-        typer.Option(help="A folder of scans to train on, a third of which is held out; procedural if not."),
+        typer.Option(
+            help="A folder of scans to train on, a third of which is held out; procedural objects when left out."
+        ),
     ] = None,
     objects: Annotated[Path | None, typer.Option(help="A folder of scans to evaluate on; never trained on.")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores when left out.")] = None,

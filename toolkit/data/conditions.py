@@ -1,4 +1,4 @@
-"""What a scene is like and how it is seen: tracks, and every setting of theirs, which can be set or swept alone."""
+"""What a scene is like and how it is seen: tracks, and their settings, each of which can be set or swept alone."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ class ConditionSettings(PluginConfig):
         "`kinect`, with what those sensors do at edges and on dark or shiny things too; `crowded`, objects touch and "
         "hide each other; `wild`, all of it drawn anew for every scene.",
     )
-    noise: tuple[Effect, ...] | None = Field(None, description="Only these of the sensor's effects.")
+    noise: tuple[Effect, ...] | None = Field(
+        None, description="The effects of the sensor that are on; all of the track's when left out."
+    )
     sensor: Sensor | None = Field(None, description="Active stereo (d435) or structured light (kinect).")
     table: TableLook | None = Field(None, description="What the table looks like; `varied`: another in every scene.")
     table_shape: TableShape | None = Field(
@@ -69,7 +71,9 @@ class ConditionSettings(PluginConfig):
         le=1,
         description="Share of objects put against another (0 to 5 mm) or behind it, as seen from home.",
     )
-    crowding_in: Literal["both", "goal", "current"] | None = Field(None, description="Where they are crowded.")
+    crowding_in: Literal["both", "goal", "current"] | None = Field(
+        None, description="The scenes in which objects are crowded."
+    )
     one_sided: float | None = Field(
         None, ge=0, le=0.8, description="Share of objects that are only in the goal, or only in the current scene."
     )
@@ -114,7 +118,7 @@ class Conditions:
 
 
 def _wild(rng: np.random.Generator) -> Conditions:
-    """Each setting by itself, so that none tells of another, and none is in every scene or in no scene."""
+    """Draw each setting by itself, so that none is tied to another, and none is on in every scene or in no scene."""
 
     def chance(probability: float) -> bool:
         return bool(rng.random() < probability)

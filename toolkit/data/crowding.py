@@ -38,13 +38,11 @@ class Crowd:
         self._rng = rng
 
     def anchor(self, objects: Sequence[RestingObject], placed: Mapping[int, Placement]) -> int | None:
-        """See `toolkit.data.layout.Neighbours`."""
         if not placed or self._rng.random() >= self._share:
             return None
         return int(self._rng.choice(sorted(placed)))
 
     def place(self, resting: RestingObject, yaw: float, anchor: RestingObject, at: Placement) -> Placement:
-        """See `toolkit.data.layout.Neighbours`."""
         if anchor.height > _TALL_M and self._rng.random() < 0.5:
             # Home looks along +y: behind is further along.
             angle = HOME_AZIMUTH + np.pi + self._rng.uniform(-_BEHIND_RAD, _BEHIND_RAD)
@@ -57,7 +55,6 @@ class Crowd:
         return Placement(at.x + way * float(direction[0]), at.y + way * float(direction[1]), yaw)
 
     def collides(self, a: RestingObject, at: Placement, b: RestingObject, b_at: Placement) -> bool:
-        """See `toolkit.data.layout.Neighbours`."""
         offset = np.array([b_at.x - at.x, b_at.y - at.y])
         normals, sums = _separations(_turned(a.outline, at.yaw), _turned(b.outline, b_at.yaw))
         return bool((normals @ offset - sums).max() < 0)

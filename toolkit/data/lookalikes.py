@@ -33,8 +33,8 @@ def with_lookalikes(assets: Sequence[ObjectAsset], kind: Lookalikes, cache: Path
 
     Args:
         assets: what a scene is made of.
-        kind: `twins` share their model, so that any of them may go to any of their places; `recolored` ones are objects
-            of their own, of the same shape; `none` changes nothing.
+        kind: `twins` share a model, so that they may swap their goal places; `recolored` ones have the same shape and
+            are objects of their own; `none` changes nothing.
         cache: recoloured textures are kept below it.
 
     Raises:

@@ -64,7 +64,7 @@ class Exposure:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Exposure:
-        """Within what a camera's automatic chooses in one room."""
+        """Draw settings as a camera's automatic control chooses them in one room."""
         light, warmth, tint = np.exp(rng.normal(0, [0.18, 0.07, 0.02]))
         gain = (float(light * warmth), float(light * tint), float(light / warmth))
         return cls(gain, float(np.exp(rng.normal(0, 0.15))), float(rng.uniform(0, 0.25)))

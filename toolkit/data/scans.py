@@ -18,7 +18,7 @@ Symmetry = Literal["none", "discrete_z_180", "continuous_z"]
 class ScanNotes(BaseModel, frozen=True):
     """What `objects.json` may say of one object; other keys are ignored, since boxes are measured on the mesh."""
 
-    category: str = Field("scan", description="The kind of thing that the object is.")
+    category: str = Field("scan", description="The object's category.")
     mass_kg: float | None = Field(
         None, gt=0, description="Mass in kg; estimated from the volume of the hulls where it is absent."
     )

@@ -113,7 +113,7 @@ class Studio:
         return rgb
 
     def _add_bodies(self, cache: Path) -> None:
-        """Put everything into the world that is ever seen."""
+        """Put everything that is seen in any picture into the world."""
         scene, conditions = self._scene, self._conditions
         objects = [*scene.assets, *(asset for asset, _ in scene.goal_only)]
         clutter = draw_clutter(scene.table, conditions.clutter, self._generator("clutter"))

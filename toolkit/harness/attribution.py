@@ -24,7 +24,7 @@ def attribution(experiment: Experiment) -> Experiment:
     so costs nothing, is left out.
 
     Raises:
-        ToolkitError: the experiment has several cells or a sweep, or nothing to put the truth in.
+        ToolkitError: the experiment has several cells or a sweep, or none of its stages can be given the truth.
     """
     if experiment.cells or experiment.sweep:
         several = ", ".join(experiment.sweep) or ", ".join(cell.name for cell in experiment.cells)

@@ -39,7 +39,7 @@ def drive(
     Args:
         kind: what is done with a scene, e.g. `Ablation()`.
         experiment: what to run.
-        options: how; nothing there changes a row.
+        options: how the run is carried out; nothing in them changes a row.
         progress: shows a bar.
 
     Returns:

@@ -24,7 +24,7 @@ _ALL_SLOTS = SLOTS | REARRANGE_SLOTS
 
 
 class PipelineChoice(PipelineSettings):
-    """The `pipeline:` part of an experiment: one choice a slot, and the pipeline's own settings."""
+    """The `pipeline:` part of an experiment: one choice per slot, and the pipeline's own settings."""
 
     registration: StageChoice = StageChoice(name="none")
     segmenter: StageChoice

@@ -89,7 +89,7 @@ class RunKind(ABC, Generic[RowT, TaskT]):
 
     @abstractmethod
     def check(self, cell: Cell) -> dict[str, str]:
-        """Everything a worker would stumble over, before any work starts.
+        """Find what would stop a worker, before any work starts.
 
         Returns:
             sha256 by name of the weights the cell uses.
@@ -119,7 +119,7 @@ class RunKind(ABC, Generic[RowT, TaskT]):
         """Print the run's tables."""
 
     def illustrate(self, job: Job, rows: Sequence[RowT]) -> None:
-        """Draw what the report shows besides figures; nothing, unless a kind has pictures."""
+        """Draw the pictures of the report; a kind that has none draws nothing."""
 
     @abstractmethod
     def write_page(self, run: Path) -> Path:

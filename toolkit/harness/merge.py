@@ -28,8 +28,8 @@ def merge_shards(runs: Sequence[Path], out: Path) -> Path:
         out: the new run's folder.
 
     Raises:
-        ToolkitError: one is no finished run of a shard, they differ in anything but the shard, one is missing or there
-            twice, a shard holds rows of another, or `out` holds a run.
+        ToolkitError: a folder is not the finished run of a shard; the runs differ in more than the shard; a shard is
+            missing or given twice; a shard holds rows of another; or `out` holds a run.
     """
     if (out / ROWS).exists():
         raise ToolkitError(f"'{out}' already holds a run; name a new folder with --out")

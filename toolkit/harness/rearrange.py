@@ -46,7 +46,7 @@ class MoveTask(SceneTask):
 
 @dataclass(frozen=True)
 class Rearrangement(RunKind[MoveRow, MoveTask]):
-    """Sets scenes right in simulation; every scene and cell is a task of its own, for it takes long.
+    """Rearranges scenes in simulation. Every scene and cell is a task of its own, since each takes long.
 
     Attributes:
         film: film the first scene of the first cell that is still to be done: film.mp4, and film.rrd where rerun is

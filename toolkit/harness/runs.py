@@ -59,7 +59,7 @@ WHOLE = Shard(1, 1)
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a run is carried out; nothing here changes a row.
+    """How a run is carried out. No field changes a row.
 
     Attributes:
         out: the run's folder, or None for runs/<name>/<time>/.

@@ -143,7 +143,7 @@ class WorkerSetup:
         """Make this process ready; done once.
 
         Raises:
-            ToolkitError: it has another toolkit or other versions, or a plugin file is not to be had here.
+            ToolkitError: it has another toolkit or other versions, or a plugin file cannot be found here.
         """
         _prepare(self)
 

@@ -1,7 +1,7 @@
 """Processes on this machine, by the standard library: they live, and stay warm, as long as the run.
 
-The backend is called loky for what once started them. That one ends a process that has grown by 300 MB (joblib 1.6) and
-warns of it, and the next one has to load every network again.
+The backend keeps the name of loky, the library that used to start these processes. loky ends a process that has grown
+by 300 MB (joblib 1.6) and warns of it, and the new process has to load every network again.
 """
 
 from __future__ import annotations

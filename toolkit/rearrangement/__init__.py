@@ -1,1 +1,1 @@
-"""The paper's Sec. Method B: motions -> moves, grasps, ways of an arm, and the table set right."""
+"""The paper's Sec. Method B: from motions to moves, grasps and paths of an arm, until the table is as in the goal."""

@@ -1,4 +1,4 @@
-"""Who must leave before whom, what cannot be done at all, and how many moves it takes at least."""
+"""Which object must leave before which, which goals cannot be reached, and how many moves are needed at least."""
 
 from __future__ import annotations
 

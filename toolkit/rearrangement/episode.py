@@ -28,7 +28,7 @@ class EpisodeSettings(SightSettings):
     """What the rearrangement itself decides, besides its stages."""
 
     rounds: int = Field(
-        4, ge=1, description="Times the scene is perceived and set right; 1 is the paper's one-step setting."
+        4, ge=1, description="Number of rounds of perceiving and moving; 1 is the paper's one-step setting."
     )
     observe: Literal["round", "move"] = Field(
         "round", description="Perceive anew before every round, or before every move (Algorithm 1, line 7)."

@@ -227,7 +227,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Finished:
-    """No further move.
+    """No move is left.
 
     Attributes:
         failures: by object, why it was not brought to its goal.

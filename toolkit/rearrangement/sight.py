@@ -23,8 +23,17 @@ _SAME_OBJECT_M = 0.05
 class SightSettings(PluginConfig):
     """How estimates become goals."""
 
-    settled_cm: float = Field(1.0, ge=0, description="An object whose motion is shorter than this, and ...")
-    settled_deg: float = Field(2.5, ge=0, description="... turns it by less than this, stays where it is.")
+    settled_cm: float = Field(
+        1.0,
+        ge=0,
+        description="An object stays where it is when its motion is shorter than this, and turns it by less than "
+        "`settled_deg`.",
+    )
+    settled_deg: float = Field(
+        2.5,
+        ge=0,
+        description="Smallest turn of an object that is moved although its motion is shorter than `settled_cm`.",
+    )
     radius_m: float = Field(0.5, gt=0, description="Objects are put down inside this disc around the table's centre.")
     clearance_m: float = Field(0.0, description="Footprints closer than this collide.")
 
@@ -34,7 +43,7 @@ class Sight:
     """What one look at the table says.
 
     Attributes:
-        layout: one item an instance, in the order of their ids.
+        layout: one item per instance, in the order of their ids.
         clouds: by instance, its (N, 3) points.
         estimates: one per goal object.
         goal_objects: by instance, the goal object it is taken for.

@@ -76,7 +76,7 @@ class Comparison:
             return "the same on every object"
         said, points_seen, visible = "no difference shown", 100 * abs(seen.mean), 100 * self._visible
         if points_seen < visible:
-            said += f"; one of {visible:.0f} points most likely would have been"
+            said += f"; a difference of {visible:.0f} points would most likely have shown"
         needed = self._needed
         if needed > _MANY_SCENES:
             return said
@@ -89,7 +89,7 @@ class Comparison:
 
     @property
     def _visible(self) -> float:
-        """The smallest difference that interval and p-value most likely show, 0..1."""
+        """The smallest difference, 0..1, that interval and p-value would most likely show."""
         scenes, a = self.success.scenes, self._alpha
         by_objects = resolvable_difference(self.objects, float(np.sqrt(self.discordant)), a)
         return min(1.0, max(resolvable_difference(scenes, self.success.deviation, a), by_objects))

@@ -1,4 +1,4 @@
-"""A PyBullet client as an object: it needs no number at every call, and what it answers has names."""
+"""A PyBullet client as an object: calls need no client number, and the answers have named fields."""
 
 from __future__ import annotations
 

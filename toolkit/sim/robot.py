@@ -18,7 +18,7 @@ from toolkit.sim.robots import RobotModel
 from toolkit.types import Float
 
 _MOTOR = 150.0
-"""Strong enough that the arm follows its path; what it can lift is for the gripper's friction to say."""
+"""Strong enough that the arm follows its path; what it can lift depends on the gripper's friction."""
 
 _COUPLING = 50.0
 _GEAR = 200.0
@@ -175,7 +175,7 @@ class Robot:
             self._client.resetJointState(self.body, joint, angle)
 
     def follow(self, q: Float, velocity: Float) -> None:
-        """Let the arm's motors hold (J,) angles, moving at (J,) radians a second."""
+        """Let the arm's motors hold (J,) angles, moving at (J,) radians per second."""
         self._client.setJointMotorControlArray(
             self.body,
             self._arm,

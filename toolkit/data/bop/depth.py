@@ -52,7 +52,7 @@ def metres(raw: NDArray[Any], scale_mm: float, path: Path, where: str) -> Float:
     if not _NEAR_M <= middle < _FAR_M:
         stored = "floats in metres need 1000, in millimetres 1" if kind == "f" else "whole millimetres need 1"
         raise ToolkitError(
-            f"'{path}' measures {middle:.3g} m in the middle, by the depth_scale {scale_mm:g} (millimetres a unit) "
+            f"'{path}' measures {middle:.3g} m in the middle, by the depth_scale {scale_mm:g} (millimetres per unit) "
             f"of {where}; {stored}"
         )
     return depth

@@ -21,6 +21,8 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
 from toolkit.types import Camera, Float, Frame
 
+_MASKS = "mask_visib"
+
 
 @dataclass(frozen=True)
 class SceneFolder:
@@ -48,7 +50,11 @@ class SceneFolder:
         truth = read_truth(truth_path, cameras) if truth_path.exists() else None
         notes.add_unknown_keys(path / "scene_camera.json", cameras.values())
         notes.add_unknown_keys(truth_path, [entry for entries in (truth or {}).values() for entry in entries])
-        visible, own = (MaskFolder.of(f) if f and f.is_dir() else None for f in (path / "mask_visib", masks))
+        visible, own = (MaskFolder.of(f) if f and f.is_dir() else None for f in (path / _MASKS, masks))
+        if own is not None and not own.labels and not own.objects:
+            raise ToolkitError(
+                f"'{own.path}' holds no mask; they are label images IMAGE.png, or IMAGE_OBJECT.png, one per object"
+            )
         return SceneFolder(path, cameras, truth, visible, own)
 
     def where(self, image: int) -> str:

@@ -17,7 +17,7 @@ from toolkit.geometry import invert
 from toolkit.types import Float, Frame, ObjectModel, Placed, TrueObject
 
 _DEPTH_SCALE = 0.1
-"""Millimetres a unit of the depth images that the toolkit writes, where that reaches far enough (6.5 m)."""
+"""Millimetres per unit of the depth images that the toolkit writes, where that reaches far enough (6.5 m)."""
 
 
 def write_capture(
@@ -58,7 +58,7 @@ def write_capture(
 
 
 def _depth_scale(depth: Float | None) -> float:
-    """Millimetres a unit so that 16 bits reach the farthest point; a power of two times 0.1."""
+    """Millimetres per unit, so that 16 bits reach the farthest point; a power of two times 0.1."""
     reach_mm = (NOT_MEASURED - 1) * _DEPTH_SCALE
     farthest_mm = 0.0 if depth is None else float(depth.max(initial=0)) * 1e3
     return _DEPTH_SCALE * 2 ** max(0, math.ceil(math.log2(farthest_mm / reach_mm))) if farthest_mm else _DEPTH_SCALE

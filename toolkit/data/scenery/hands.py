@@ -21,10 +21,10 @@ from toolkit.types import Camera, Float
 
 _TRIES = 60
 _ABOVE_M = 0.02
-"""It stays so far above the table, ..."""
+"""Least distance of a hand from the table."""
 
 _CLEAR_M = 0.01
-"""... and so far outside the spheres around the objects."""
+"""Least distance of a hand from the spheres around the objects."""
 
 _HIDES = 0.5
 """The most that it hides of what is seen of any object."""

@@ -49,7 +49,7 @@ def sheet_of(pictures: Sequence[Image], columns: int, tile_px: int) -> tuple[Ima
 
 
 def block(low: Float, high: Float, rects: Sequence[Rect]) -> Surface:
-    """A box between two corners (3,); rects for its sides and its top. Nothing looks at it from below."""
+    """A box between two corners (3,); rects for its sides and its top. It has no lower side."""
     x, y, z = np.eye(3) * (np.asarray(high) - np.asarray(low))
     low = np.asarray(low, np.float64)
     sides = [(low, x, z), (low + x, y, z), (low + x + y, -x, z), (low + y, -y, z), (low + z, x, y)]

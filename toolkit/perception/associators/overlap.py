@@ -12,6 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from toolkit.perception.regions import followed_instances, numbered_by_occurrence
 from toolkit.perception.stages import Associator
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Region
@@ -41,11 +42,8 @@ class OverlapAssociator(Plugin[OverlapConfig], Associator):
         """Return (R,) instance ids 0..K-1, numbered by first occurrence."""
         if not regions:
             return np.zeros(0, np.int64)
-        followed = [region.segment.instance for region in regions]
-        given = [number for number in followed if number is not None]
-        labels = np.array(given) if len(given) == len(regions) else self._overlapping(regions)
-        _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-        return np.argsort(np.argsort(first))[inverse].astype(np.int64)
+        followed = followed_instances(regions)
+        return numbered_by_occurrence(self._overlapping(regions)) if followed is None else followed
 
     def _overlapping(self, regions: Sequence[Region]) -> NDArray[np.int64]:
         clouds = [_thinned(region.points) for region in regions]

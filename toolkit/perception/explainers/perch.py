@@ -8,7 +8,7 @@ from pydantic import Field
 from toolkit.perception.explainers.searching.evidence import MOST_COST, evidence
 from toolkit.perception.explainers.searching.hypotheses import Searcher
 from toolkit.perception.explainers.searching.jointly import Candidate, compose, explain_jointly
-from toolkit.perception.explainers.searching.renderings import render
+from toolkit.perception.explainers.searching.renderings import render, surface_of
 from toolkit.perception.explainers.searching.segments import object_masks, unexplained
 from toolkit.perception.explainers.searching.together import joined, moved_together, owners
 from toolkit.perception.explainers.searching.trust import judge, trust
@@ -55,9 +55,10 @@ class Perch(Plugin[PerchConfig], Explainer):
             scan.table, task.goal.camera, coarse, fine, self.config.step_mm / 1e3, self.config.yaws, self.config.kept
         )
         models = task.models.usable()
+        surfaces = {instance: surface_of(model) for instance, model in models.items()}
 
         def place(instance: int, T_goal_current: Float, moved: bool = True) -> Candidate:
-            return Candidate(T_goal_current, moved, render(models[instance], T_goal_current, task.goal.camera, fine))
+            return Candidate(T_goal_current, moved, render(surfaces[instance], T_goal_current, task.goal.camera, fine))
 
         candidates = {
             instance: [place(instance, searcher.motion(model, h), h.moved) for h in searcher.search(model)]
@@ -72,7 +73,7 @@ class Perch(Plugin[PerchConfig], Explainer):
         masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}
         placements: list[Placement] = []
         for instance, mask in sorted(masks.items(), key=lambda entry: int(entry[1].argmax())):
-            judged = judge(instance, chosen, candidates[instance], models, background, scan.table, task.goal.camera)
+            judged = judge(instance, chosen, candidates[instance], models, background, scan.table)
             segment, T = Segment(mask, instance=instance), chosen[instance].T_goal_current
             placements.append(Placement(instance, T, segment, trust(judged), judged))
         return Explanation(tuple(placements), unexplained(task.segments, masks), groups)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from toolkit.perception.tabletop.plane import table_homography
-from toolkit.perception.tabletop.relief import Relief, relief
+from toolkit.perception.tabletop.relief import Relief, survey
 from toolkit.perception.tabletop.table import Table, find_table
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
@@ -68,7 +68,7 @@ def scan_table(current: Sequence[Frame]) -> TableScan:
 @lru_cache(maxsize=2)
 def _scan(current: tuple[Frame, ...]) -> TableScan:
     table = find_table(current)
-    reliefs = tuple(relief(frame, plane, table, _MIN_HEIGHT_M) for frame, plane in table.seen())
+    reliefs = survey(table, _MIN_HEIGHT_M)
     kernel = np.ones((2 * _OBJECT_MARGIN_PX + 1,) * 2, np.uint8)
     bare = tuple(r.bare & (cv2.dilate(r.things.astype(np.uint8), kernel) == 0) for r in reliefs)
     tops = [float(np.percentile(r.places[r.certain][:, 2], 99)) for r in reliefs if r.certain.any()]

@@ -127,6 +127,13 @@ def kinship(one: FusedModel, other: FusedModel) -> float:
     return _alike(a, b) if compact else 0.0
 
 
+def share_within(one: FusedModel, other: FusedModel) -> float:
+    """Share of an object inside the outline, seen from above, of a larger one that it comes close to."""
+    if len(one.points) >= len(other.points) or not are_close(one.points, other.points):
+        return 0.0
+    return _within(one.points.astype(np.float64), other.points.astype(np.float64))
+
+
 def are_close(one: Float, other: Float) -> bool:
     """Whether two clouds (N, 3), (M, 3) come as near to each other as parts of one object do."""
     some = [points[:: max(len(points) // _PROBES, 1)] for points in (one, other)]

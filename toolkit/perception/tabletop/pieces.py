@@ -23,7 +23,7 @@ from toolkit.geometry import invert
 from toolkit.perception.tabletop.creases import smooth_parts
 from toolkit.perception.tabletop.joining import Pieces, join_pieces
 from toolkit.perception.tabletop.labels import nearest_label
-from toolkit.perception.tabletop.relief import Relief, relief
+from toolkit.perception.tabletop.relief import Relief, survey
 from toolkit.perception.tabletop.table import Table, find_table
 from toolkit.types import Float, Frame, Mask
 
@@ -112,7 +112,7 @@ def objects_on_table(frames: Sequence[Frame], min_height: float, min_pixels: int
 @lru_cache(maxsize=2)
 def _objects(frames: tuple[Frame, ...], min_height: float, min_pixels: int) -> Objects:
     table = find_table(frames)
-    reliefs = [relief(frame, plane, table, min_height) for frame, plane in table.seen()]
+    reliefs = survey(table, min_height)
     found = {frame.index: np.zeros(frame.rgb.shape[:2], np.int32) for frame in frames}
     cut, whole = cut_objects(reliefs, table, min_pixels)
     for r, labels in zip(reliefs, cut, strict=True):

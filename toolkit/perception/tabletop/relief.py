@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -51,6 +52,12 @@ class Relief:
     bare: Mask
     level: Mask
     unsure: Mask
+
+
+@lru_cache(maxsize=4)
+def survey(table: Table, min_height: float) -> tuple[Relief, ...]:
+    """One relief for each frame that sees the table; arguments as `relief`. Those of the last tables are kept."""
+    return tuple(relief(frame, plane, table, min_height) for frame, plane in table.seen())
 
 
 def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relief:

@@ -67,7 +67,7 @@ class Table:
     def holds(self, xy: Float) -> Mask:
         """(...,) bool: which (..., 2) places in the table's frame lie within its outline, to half a centimetre."""
         low, grid = self._raster
-        cells = np.floor((xy - low) / _RASTER_M).astype(np.int32)
+        cells = np.floor((xy - low.astype(xy.dtype)) / xy.dtype.type(_RASTER_M)).astype(np.int32)
         size = np.array(grid.shape)
         inside = (cells >= 0).all(axis=-1) & (cells < size).all(axis=-1)
         held = np.zeros(inside.shape, bool)

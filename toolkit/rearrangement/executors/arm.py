@@ -44,11 +44,17 @@ class ArmConfig(PluginConfig):
         "ompl", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
     )
     search_s: float = Field(5.0, gt=0, description="Longest search for one path, of processor time.")
-    joint_speed: float = Field(0.8, gt=0, description="Of the fastest joint in free motion, rad/s.")
-    line_speed: float = Field(0.25, gt=0, description="Of the fastest joint near objects, rad/s.")
-    approach_m: float = Field(0.08, gt=0, description="Straight way to a grasp, and back from a place.")
-    off_m: float = Field(0.02, gt=0, description="An object put further off than this has slipped, ...")
-    off_deg: float = Field(10.0, gt=0, description="... and so has one that is turned by more than this.")
+    joint_speed: float = Field(0.8, gt=0, description="Speed of the fastest joint in free motion, rad/s.")
+    line_speed: float = Field(0.25, gt=0, description="Speed of the fastest joint near objects, rad/s.")
+    approach_m: float = Field(
+        0.08, gt=0, description="Length of the straight way to a grasp, and of the way back from a place."
+    )
+    off_m: float = Field(
+        0.02, gt=0, description="An object that ends further than this from where it was to be put has slipped."
+    )
+    off_deg: float = Field(
+        10.0, gt=0, description="An object that ends turned by more than this from how it was to be put has slipped."
+    )
 
 
 class Arm(Plugin[ArmConfig], Executor):
@@ -69,14 +75,14 @@ class Arm(Plugin[ArmConfig], Executor):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """See Plugin: the simulator, the robot's description, the grasper and the motion planner can be had."""
+        """Raise ToolkitError unless the simulator, the robot's description and both chosen stages can be had."""
         require_pybullet()
         self._model.urdf()
         for part in self._parts:
             part.check_ready()
 
     def digests(self) -> dict[str, str]:
-        """See Plugin: of the grasper's and the motion planner's weights."""
+        """Return digests of the weights of the grasper and of the motion planner, by name."""
         return {name: sha256 for part in self._parts for name, sha256 in part.digests().items()}
 
     @property
@@ -96,7 +102,7 @@ class Arm(Plugin[ArmConfig], Executor):
         return ROBOTS[self.config.robot]
 
     def begin(self, task: TabletopScene) -> Frame:
-        """See Executor; the task is a scene of the tabletop benchmark."""
+        """Build the benchmark's scene in the simulator, with the arm at its home, and return the goal image."""
         self.check_ready()
         self.close()
         self._task = task
@@ -121,19 +127,17 @@ class Arm(Plugin[ArmConfig], Executor):
         return self._bench.touches
 
     def close(self) -> None:
-        """See Executor."""
         self._opened.close()
 
     def observe(self) -> list[Frame]:
-        """See Executor: the wrist camera's pictures, in which the arm behind it is not seen."""
+        """Return the wrist camera's frames from the predefined views; the arm, which is behind it, is in none."""
         return self._studio.current(self._bench.poses())
 
     def state(self) -> Mapping[int, Float]:
-        """See Executor."""
         return dict(enumerate(self._bench.poses()))
 
     def home(self) -> None:
-        """See Executor; where no path leads there, it stays."""
+        """Move the arm to its home, out of the cameras' sight; where no path leads there, it stays."""
         home = np.array(self._model.home)
         if np.abs(self._bench.target - home).max() < 1e-6:
             return
@@ -152,11 +156,9 @@ class Arm(Plugin[ArmConfig], Executor):
         return self._film_set.picture(self._bench)
 
     def goal_picture(self) -> Image:
-        """See Filmable."""
         return self._goal.rgb
 
     def pick_place(self, request: PickPlace) -> Outcome:
-        """See Executor."""
         start = self._bench.seconds
         number = self._bench.under(request.points[:: max(1, len(request.points) // _RAYS)])
         if number is None:

@@ -59,11 +59,11 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """See Plugin: there is a simulator."""
+        """Raise ToolkitError unless the simulator is installed."""
         require_pybullet()
 
     def begin(self, task: TabletopScene) -> Frame:
-        """See Executor; the task is a scene of the tabletop benchmark."""
+        """Put the benchmark scene's objects where they stand now, and return the goal image."""
         self.close()
         self._table = task.table
         self._poses = list(task.current)
@@ -79,30 +79,25 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
         return self._goal
 
     def close(self) -> None:
-        """See Executor."""
         self._opened.close()
 
     def observe(self) -> list[Frame]:
-        """See Executor."""
         return self._studio.current(self._poses)
 
     def home(self) -> None:
-        """See Executor; there is no hand that could be in the way."""
+        """Do nothing: there is no hand that could be in the way."""
 
     def state(self) -> Mapping[int, Float]:
-        """See Executor."""
         return dict(enumerate(self._poses))
 
     def snapshot(self) -> Image:
-        """See Filmable."""
         return self._studio.picture(self._home, self._poses)
 
     def goal_picture(self) -> Image:
-        """See Filmable."""
         return self._goal.rgb
 
     def pick_place(self, request: PickPlace) -> Outcome:
-        """See Executor. An object that would hit another goes back to where it was."""
+        """Pick one object up and put it down elsewhere; one that would hit another goes back to where it was."""
         number = self._solids.under(_some(request.points))
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))

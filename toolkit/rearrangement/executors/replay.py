@@ -25,7 +25,7 @@ _LOG = "moves.json"
 class Recorder(Executor):
     """An executor that hands everything on to another and writes down what comes back.
 
-    FOLDER/000000/, FOLDER/000001/, ... are captures, one an observation; moves.json lists what was asked and what
+    FOLDER/000000/, FOLDER/000001/, ... are captures, one per observation; moves.json lists what was asked and what
     became of it.
 
     Args:
@@ -42,13 +42,11 @@ class Recorder(Executor):
         self._moves: list[dict[str, Any]] = []
 
     def begin(self, task: Any) -> Frame:
-        """See Executor."""
         self._goal = self._executor.begin(task)
         self._folder.mkdir(parents=True, exist_ok=True)
         return self._goal
 
     def observe(self) -> list[Frame]:
-        """See Executor."""
         frames = self._executor.observe()
         truth = self._truth
         state = self._executor.state()
@@ -59,7 +57,6 @@ class Recorder(Executor):
         return frames
 
     def pick_place(self, request: PickPlace) -> Outcome:
-        """See Executor."""
         outcome = self._executor.pick_place(request)
         failure = outcome.failure
         self._moves.append(
@@ -76,15 +73,12 @@ class Recorder(Executor):
         return outcome
 
     def home(self) -> None:
-        """See Executor."""
         self._executor.home()
 
     def state(self) -> Mapping[int, Float] | None:
-        """See Executor."""
         return self._executor.state()
 
     def close(self) -> None:
-        """See Executor."""
         self._executor.close()
 
 
@@ -102,12 +96,11 @@ class Replay(Plugin[ReplayConfig], Executor):
     name = "replay"
 
     def check_ready(self) -> None:
-        """See Plugin."""
         if not (self.config.folder / "000000").is_dir():
             raise ToolkitError(f"'{self.config.folder}' is no recording: it has no observation 000000")
 
     def begin(self, task: Any) -> Frame:
-        """See Executor; the task is the recorded one, whatever is asked."""
+        """Start at the recording's first observation and return its goal image; `task` is not used."""
         self.check_ready()
         self._captures = sorted(path for path in self.config.folder.iterdir() if path.is_dir())
         self._moves: list[dict[str, Any]] = _read_moves(self.config.folder / _LOG)
@@ -115,7 +108,7 @@ class Replay(Plugin[ReplayConfig], Executor):
         return load_capture(self._captures[0]).goal
 
     def observe(self) -> list[Frame]:
-        """See Executor.
+        """Return the frames of the recording's next observation.
 
         Raises:
             ToolkitError: the recording has no further observation.
@@ -126,7 +119,7 @@ class Replay(Plugin[ReplayConfig], Executor):
         return list(load_capture(self._captures[self._seen - 1]).current)
 
     def pick_place(self, request: PickPlace) -> Outcome:
-        """See Executor. A move that was not recorded here is a failure."""
+        """Return the recorded outcome of the next move; a failure where the recording has another move, or none."""
         if not self._moves:
             return Outcome(Failure("executor", "the recording has no further move"))
         move = self._moves.pop(0)
@@ -140,13 +133,13 @@ class Replay(Plugin[ReplayConfig], Executor):
         return Outcome(failure, move["object"], move["seconds"])
 
     def home(self) -> None:
-        """See Executor."""
+        """Do nothing: the recorded frames were taken without a robot in sight."""
 
     def state(self) -> None:
-        """See Executor; a recording knows no truth."""
+        """Return None: a recording does not know where objects truly are."""
 
     def close(self) -> None:
-        """See Executor."""
+        """Let go of the task: nothing, since no file stays open between observations."""
 
 
 def _read_moves(path: Path) -> list[dict[str, Any]]:

@@ -37,7 +37,6 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
     name = "antipodal"
 
     def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
-        """See Grasper."""
         c = self.config
         seen = evenly_seen(request)
         if isinstance(seen, Failure):

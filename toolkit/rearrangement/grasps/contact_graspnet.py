@@ -29,7 +29,7 @@ from toolkit.weights.load import fill, read_tensors
 from toolkit.weights.resolve import file_digest, resolve_weights
 
 _TABLE_POINTS_M2 = 26_000
-"""Points a square metre of table, as in the clouds the network was trained on."""
+"""Points per square metre of table, as in the clouds the network was trained on."""
 
 _SHADOW_M = 0.01
 """The table this near to a thing, in the plane, is below it."""
@@ -39,8 +39,10 @@ class ContactGraspnetConfig(RoomConfig):
     """Settings of `contact_graspnet`."""
 
     file: Path | None = Field(None, description="Checkpoint; by default the weights `contact_graspnet`.")
-    around_m: float = Field(0.25, gt=0, description="The network sees what lies this near to the object's middle.")
-    least_score: float = Field(0.2, ge=0, le=1, description="Contacts below this are not believed.")
+    around_m: float = Field(
+        0.25, gt=0, description="Points that are nearer than this to the object's middle are given to the network."
+    )
+    least_score: float = Field(0.2, ge=0, le=1, description="Contacts with a lower score than this are not used.")
 
 
 class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
@@ -59,7 +61,6 @@ class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
         return {self._path.name: file_digest(self._path)}
 
     def grasp(self, request: GraspRequest, seed: int) -> list[Grasp] | Failure:
-        """See Grasper."""
         seen = evenly_seen(request)
         if isinstance(seen, Failure):
             return seen

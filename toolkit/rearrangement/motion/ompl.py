@@ -39,12 +39,10 @@ class Ompl(Plugin[OmplConfig], MotionPlanner):
     name = "ompl"
 
     def check_ready(self) -> None:
-        """See Plugin."""
         if importlib.util.find_spec("ompl") is None:
             raise ToolkitError("motion 'ompl' needs OMPL: pip install 'rearrange-toolkit[arm]'")
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
-        """See MotionPlanner."""
         for what, q in (("start", problem.start), ("goal", problem.goal)):
             if not problem.free(q):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")

@@ -184,7 +184,7 @@ class Optimal(Plugin[OptimalConfig], Planner):
     name = "optimal"
 
     def start(self, seed: int) -> OptimalSchedule:
-        """See Planner; nothing is left to chance."""
+        """Return the state of a fresh episode; the planner draws nothing at random, so `seed` has no effect."""
         return OptimalSchedule(self.config.tries)
 
 
@@ -201,7 +201,6 @@ class OptimalSchedule(Schedule):
         self._failures: dict[int, Failure] = {}
 
     def next(self, layout: Layout) -> Move | Finished:
-        """See Schedule."""
         self._look_at_last(layout)
         while True:
             held = self._hold(layout)

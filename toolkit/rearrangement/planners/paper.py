@@ -31,7 +31,6 @@ class Paper(Plugin[PaperConfig], Planner):
     name = "paper"
 
     def start(self, seed: int) -> PaperSchedule:
-        """See Planner."""
         return PaperSchedule(self.config, np.random.default_rng(seed))
 
 
@@ -45,7 +44,6 @@ class PaperSchedule(Schedule):
         self._finished: Finished | None = None
 
     def next(self, layout: Layout) -> Move | Finished:
-        """See Schedule."""
         if self._finished is not None:
             return self._finished
         try:

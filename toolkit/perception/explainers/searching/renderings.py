@@ -34,17 +34,39 @@ class Rendering:
     cost: Float
 
 
-def render(model: FusedModel, T_goal_current: Float, camera: Camera, goal: Evidence) -> Rendering:
-    """Draw a model as the goal camera would see it once it is moved; its points hide those behind them."""
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Points of a model, to be drawn many times.
+
+    Attributes:
+        points: (N, 3) float32 metres, in the world of the current scene.
+        normals: (N, 3) float32 outward.
+        colours: (N, 3) float32, as `evidence.scaled` gives them.
+        spacing: metres between neighbouring points, about.
+    """
+
+    points: Float
+    normals: Float
+    colours: Float
+    spacing: float
+
+
+def surface_of(model: FusedModel) -> Surface:
+    """Take as many points of a model as are drawn."""
     rows = np.random.default_rng(0).permutation(len(model.points))[:_POINTS]
+    spacing = _SPACING_M * max(1.0, np.sqrt(len(model.points) / _POINTS))
+    return Surface(model.points[rows], model.normals_at(rows), scaled(model.colors[rows]), spacing)
+
+
+def render(surface: Surface, T_goal_current: Float, camera: Camera, goal: Evidence) -> Rendering:
+    """Draw a surface as the goal camera would see it once it is moved; its points hide those behind them."""
     T = invert(camera.T_world_camera) @ T_goal_current
-    points = model.points[rows] @ T[:3, :3].T + T[:3, 3]
-    normals = model.normals_at(rows) @ T[:3, :3].T
+    points = surface.points @ T[:3, :3].T + T[:3, 3]
+    normals = surface.normals @ T[:3, :3].T
     depth = points[:, 2]
     ahead = depth > 1e-2
     pixels = points[:, :2] / np.where(ahead, depth, 1.0)[:, None] * np.diagonal(goal.K)[:2] + goal.K[:2, 2]
-    spacing = _SPACING_M * max(1.0, np.sqrt(len(model.points) / _POINTS))
-    reach = max(0, int(np.ceil(spacing * goal.K[0, 0] / max(float(np.median(depth)), 1e-2) / 2 - 0.5)))
+    reach = max(0, int(np.ceil(surface.spacing * goal.K[0, 0] / max(float(np.median(depth)), 1e-2) / 2 - 0.5)))
     height, width = goal.background.shape
     steps = np.array([(x, y) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
     cells = np.rint(pixels).astype(np.int64)[:, None] + steps
@@ -52,12 +74,12 @@ def render(model: FusedModel, T_goal_current: Float, camera: Camera, goal: Evide
     index = (cells[..., 1] * width + cells[..., 0])[inside]
     # Of two points of one surface that reach a pixel the one that is centred on it shows its colour.
     order_depth = (depth[:, None] + 1e-4 * np.abs(steps).sum(axis=1))[inside]
-    source = np.broadcast_to(np.arange(len(rows))[:, None], inside.shape)[inside]
+    source = np.broadcast_to(np.arange(len(points))[:, None], inside.shape)[inside]
     order = np.lexsort((order_depth, index))
     index, source = index[order], source[order]
     first = np.flatnonzero(np.r_[True, index[1:] != index[:-1]][: len(index)])
     index, source = index[first], source[first]
-    gap = goal.colours.reshape(-1, 3)[index] - scaled(model.colors[rows])[source]
+    gap = goal.colours.reshape(-1, 3)[index] - surface.colours[source]
     cost = np.minimum((gap * gap).sum(axis=1), MOST_COST)
     front = -(normals * points).sum(axis=1) > _GRAZING * np.linalg.norm(points, axis=1)
     return Rendering(index, depth[source], np.where(front[source], cost, UNSEEN_COST))

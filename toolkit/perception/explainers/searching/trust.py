@@ -6,26 +6,25 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from toolkit.geometry import invert, project
+from toolkit.geometry import invert
 from toolkit.perception.explainers.searching.evidence import MOST_COST
 from toolkit.perception.explainers.searching.jointly import Candidate, Composition, change, compose
 from toolkit.perception.fusion import FusedModel
-from toolkit.perception.tabletop.joining import kinship
+from toolkit.perception.tabletop.joining import kinship, share_within
 from toolkit.perception.tabletop.table import Table
-from toolkit.types import Camera, Float, Mask
+from toolkit.types import Float
 
 _WEIGHTS = {
     "agreement": 4.0,
     "gain": 3.0,
     "visible": 1.0,
-    "inside": 1.0,
     "height": 1.0,
     "alone": 1.0,
+    "clear": 1.0,
     "lead": 1.0,
     "size": 0.0,
     "still": 0.5,
     "whole": 1.0,
-    "framed": 1.0,
     "views": 0.5,
 }
 _BIAS = -6.0
@@ -43,7 +42,6 @@ def judge(
     models: Mapping[int, FusedModel],
     background: Float,
     table: Table,
-    camera: Camera,
 ) -> dict[str, float]:
     """What a placement is judged by, each from 0 (bad) to 1.
 
@@ -54,14 +52,13 @@ def judge(
         models: of all instances.
         background: (P,) cost of the image without any of them.
         table: the table.
-        camera: the goal image's.
 
     Returns:
         By name: `agreement` with the pixels it shows in; `gain` over the empty table there; `visible`, the part of it
-        that nothing hides, and `inside`, the part that lies in the image; `height` above the table; `alone`, how little
-        it looks like a part of something larger; `lead` over its next best place, or over being absent; `size`;
-        `still`, 1 where it was not moved; `whole`, the segmenter's confidence in its segments; `framed`, the part of
-        the frames that saw it where no border of the image cuts it; `views`, the part of the frames that saw it.
+        that nothing hides; `height` above the table; `alone`, how little it looks like a part of something larger;
+        `clear`, the part of it outside the outline of every larger object that it touches; `lead` over its next best
+        place, or over being absent; `size`; `still`, 1 where it was not moved; `whole`, the segmenter's confidence in
+        its segments; `views`, the part of the frames that saw it.
     """
     model, own = models[instance], chosen[instance]
     drawn = compose(chosen, background)
@@ -74,14 +71,13 @@ def judge(
         "agreement": 1 - float(drawn.cost[pixels].sum()) / count / MOST_COST,
         "gain": float((background[pixels] - drawn.cost[pixels]).sum()) / count / MOST_COST,
         "visible": len(pixels) / max(len(own.rendering.pixels), 1),
-        "inside": _inside(model, own.T_goal_current, camera),
         "height": min(float(np.percentile(heights, 95)) / _TALL_M, 1.0),
         "alone": 1 - max((kinship(model, other) for other in others), default=0.0),
+        "clear": 1 - max((share_within(model, other) for other in others), default=0.0),
         "lead": _lead(instance, chosen, options, background, model) / count / MOST_COST,
         "size": min(len(pixels) / _LARGE_PX, 1.0),
         "still": float(not own.moved),
         "whole": model.score,
-        "framed": float(np.mean([not _is_cut(patch.mask) for patch in model.patches])),
         "views": float(len(model.patches) / max(len(table.frames), 1)),
     }
 
@@ -89,18 +85,6 @@ def judge(
 def trust(judged: Mapping[str, float]) -> float:
     """Probability 0..1, by logistic regression (experiments/benchmarks/trust.py) on what `judge` returns."""
     return float(1 / (1 + np.exp(-(sum(_WEIGHTS[name] * value for name, value in judged.items()) + _BIAS))))
-
-
-def _inside(model: FusedModel, T_goal_current: Float, camera: Camera) -> float:
-    """Share of the model that lies in the image."""
-    pixels, _ = project(camera.K, invert(camera.T_world_camera) @ T_goal_current, model.points.astype(np.float64))
-    size = np.array([camera.width, camera.height])
-    return float(((pixels >= 0) & (pixels <= size - 1)).all(axis=1).mean())
-
-
-def _is_cut(mask: Mask) -> bool:
-    """Whether an object reaches the border of an image."""
-    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
 
 
 def _lead(

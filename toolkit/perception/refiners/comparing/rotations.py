@@ -12,7 +12,7 @@ from toolkit.geometry import cubes
 from toolkit.types import Float
 
 _HULL_M = 0.003
-"""Points are thinned to one a cube of this side: noise on a face shall not make faces of its own."""
+"""Points are thinned to one per cube of this side, so that noise on a face makes no faces of its own."""
 
 _SAME_REST = np.cos(np.radians(12))
 _SUPPORT_M = 0.003
@@ -62,7 +62,8 @@ def _stable(points: Float) -> Float:
     # By x first, since the hull's triangles follow the order of its points.
     _, first = np.unique(cubes(points[:, ::-1], _HULL_M), return_index=True)
     try:
-        hull = trimesh.convex.convex_hull(points[first])
+        with np.errstate(invalid="ignore"):  # the centre of mass of no volume
+            hull = trimesh.convex.convex_hull(points[first])
     except QhullError:
         return np.zeros((0, 3))
     if hull.volume < _LEAST_M3:

@@ -12,7 +12,7 @@ from toolkit.types import Float, Image
 
 
 class FilmSet:
-    """Another table with the same objects, and an arm that has no weight but looks; close it after use.
+    """A second table with the same objects and an arm, which are only looked at; close it after use.
 
     Args:
         task: what stands on the table.

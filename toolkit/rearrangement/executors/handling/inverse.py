@@ -1,4 +1,4 @@
-"""From where the hand is to be to joint angles: IK solutions by their nearness, and straight lines of the hand."""
+"""From the hand's pose to joint angles: IK solutions by their nearness, and straight lines of the hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _JUMP_RAD = 0.4
 
 
 class Inverse:
-    """Inverse kinematics of one arm; touching things is for others to say.
+    """Inverse kinematics of one arm; it does not know what the arm touches.
 
     Args:
         chain: the arm.

@@ -26,8 +26,8 @@ class Mover:
 
     Args:
         bench: the arm and what is around it.
-        joint_speed: of the fastest joint in free motion, rad/s.
-        line_speed: of the fastest joint near objects, rad/s.
+        joint_speed: speed of the fastest joint in free motion, rad/s.
+        line_speed: speed of the fastest joint near objects, rad/s.
     """
 
     def __init__(self, bench: Bench, joint_speed: float, line_speed: float) -> None:
@@ -136,7 +136,7 @@ class Mover:
 
 
 def _timed(path: Float, speed: float) -> tuple[Float, Float]:
-    """(T, J) targets and (T, J) velocities along an (N, J) path, one a step of the bench."""
+    """(T, J) targets and (T, J) velocities along an (N, J) path, one per step of the bench."""
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
     keep = np.concatenate([[True], np.diff(turned) > 1e-9])
     path, turned = path[keep], turned[keep]

@@ -28,7 +28,7 @@ _REASONS = (
     "the goal is out of the arm's reach with every grasp",
     "on the straight way to the place arm or object would touch something",
 )
-"""By how far the best grasp came."""
+"""How far the best grasp came."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +190,7 @@ class Reach:
         return Way(grasp, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
 
     def adapted(self, way: Way, number: int, poses: Sequence[Float], in_hand: Float, wanted: Float) -> Way:
-        """A way whose second half puts an object down right that lies in the hand otherwise than it was to.
+        """Plan the second half of a way anew, for an object that lies in the hand otherwise than planned.
 
         Args:
             way: carried out up to its lift.
@@ -200,7 +200,7 @@ class Reach:
             wanted: (4, 4) pose to put it down at.
 
         Returns:
-            The way as it was, where there is none that is better.
+            The way with its new second half; the way as it was where no better one is found.
         """
         robot = self._clearance.robot
         self._clearance.arrange(poses, robot.drive_for(way.grasp.closed))
