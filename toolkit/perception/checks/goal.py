@@ -28,7 +28,7 @@ _UNITS = tuple(
 )
 
 
-def check_goal(goal: Frame, table: Table) -> list[Finding]:
+def check_table(goal: Frame, table: Table) -> list[Finding]:
     """Compare a goal image with the table that the current frames show."""
     plans = bare_plans(table)
     share = float(table.surface(goal.camera).mean())

@@ -14,21 +14,23 @@ _LEAST_STEP, _PIXELS = 0.05, 500
 _DOUBT = 0.3
 
 
-def check_exposure(frames: Sequence[Frame], goal: Frame) -> list[Finding]:
-    """Name images in which next to nothing is to be seen."""
-    findings: list[Finding] = []
-    wrong = _exposure(goal.rgb)
-    if wrong is not None:
-        findings.append(Finding("doubtful", f"the goal image is {wrong}; take it again in other light", _DOUBT))
+def check_exposure(frames: Sequence[Frame]) -> list[Finding]:
+    """Leave out current images in which next to nothing is to be seen, or doubt them where all are so."""
     bad = {frame.index: wrong for frame in frames if (wrong := _exposure(frame.rgb)) is not None}
-    if len(bad) == len(frames):
-        sentence = f"every current image is {' or '.join(sorted(set(bad.values())))}; take them again in other light"
-        findings.append(Finding("doubtful", sentence, _DOUBT))
-    else:
-        findings += [
+    if len(bad) < len(frames):
+        return [
             Finding("left out", f"current image {i} is {why} and is not used", frames=(i,)) for i, why in bad.items()
         ]
-    return findings
+    sentence = f"every current image is {' or '.join(sorted(set(bad.values())))}; take them again in other light"
+    return [Finding("doubtful", sentence, _DOUBT)]
+
+
+def check_goal_exposure(goal: Frame) -> list[Finding]:
+    """Doubt a goal image in which next to nothing is to be seen."""
+    wrong = _exposure(goal.rgb)
+    if wrong is None:
+        return []
+    return [Finding("doubtful", f"the goal image is {wrong}; take it again in other light", _DOUBT)]
 
 
 def _exposure(rgb: Image) -> str | None:

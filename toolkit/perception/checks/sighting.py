@@ -13,7 +13,9 @@ from toolkit.perception.tabletop.plane import Plane, pixel_rays
 from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Float, Frame
 
-_STEP = 4
+_ACROSS = 160
+"""Points across an image that are looked at, whatever its size."""
+
 _FLAT, _RAISED, _HIGH = 0.008, 0.025, 0.5
 _SMOOTH = 0.02
 """Parts of the camera's height, so that wrong units change nothing."""
@@ -47,9 +49,10 @@ def sight(frame: Frame) -> Sighting | None:
         return None
     (plane,) = table.planes
     assert plane is not None
+    step = max(frame.camera.width // _ACROSS, 1)
     kernel = np.ones((3, 3), np.uint8)
-    jump = (cv2.dilate(frame.depth, kernel) - cv2.erode(frame.depth, kernel))[::_STEP, ::_STEP].ravel()
-    depth, rays = frame.depth[::_STEP, ::_STEP], pixel_rays(frame)[::_STEP, ::_STEP]
+    jump = (cv2.dilate(frame.depth, kernel) - cv2.erode(frame.depth, kernel))[::step, ::step].ravel()
+    depth, rays = frame.depth[::step, ::step], pixel_rays(frame)[::step, ::step]
     points = (rays * depth[..., None]).reshape(-1, 3)
     height = plane.heights(rays, depth).ravel() / plane.camera_height
     smooth = (depth.ravel() > 0) & (jump < _SMOOTH * depth.ravel())
