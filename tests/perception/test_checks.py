@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform
 from toolkit.perception.checks.capture import check_current, check_goal, doubted, refuse, usable
-from toolkit.plugin_kit.conformance.raycast import K, NOW, THEN, camera, shoot
+from toolkit.plugin_kit.conformance.raycast import NOW, THEN, K, camera, shoot
 from toolkit.types import Failure, Finding, PoseEstimate, Segment
 
 VIEWS = 8
@@ -134,7 +134,7 @@ def test_frames_that_contradict_each_other_are_doubted(off):
             for f in frames()
         ]
     else:
-        other = K * [[1.2], [1.2], [1]] if off == "focal" else K + [[0, 0, 25], [0, 0, 0], [0, 0, 0]]
+        other = K * [[1.2], [1.2], [1]] if off == "focal" else np.add(K, [[0, 0, 25], [0, 0, 0], [0, 0, 0]])
         wrong = [replace(frame, camera=replace(frame.camera, K=other)) for frame in frames()]
     finding = only(check_current(wrong))
     assert (finding.severity, finding.cap < 0.5) == ("doubtful", True)
@@ -208,8 +208,9 @@ def test_black_and_white_images_are_told():
 
 
 def test_a_frame_without_a_table_is_left_out_and_none_with_one_is_doubted():
-    flat = np.zeros_like(frames()[0].depth)
-    blind = replace(frames()[2], depth=np.where(np.arange(flat.shape[1]) < 2, np.float32(1), flat))
+    depth = np.zeros_like(frames()[0].depth)
+    depth[:10, :10] = 1 + 0.1 * np.random.default_rng(0).random((10, 10))
+    blind = replace(frames()[2], depth=depth)
     finding = only(check_current([*frames()[:2], blind, *frames()[3:]]))
     assert (finding.severity, finding.frames) == ("left out", (2,))
     assert only(check_current([blind])).severity == "doubtful"

@@ -50,13 +50,14 @@ class Session:
             RefusedError: the frames cannot be right.
             ToolkitError: a stage refuses its input.
         """
-        self._scene, self._of_frames = None, check_current(frames)
+        self._scene = self._built = None
+        self._of_frames = check_current(frames)
         self.findings = self._of_frames
         refuse(self.findings)
         pipeline = self._runner.pipeline
-        self._built = pipeline.build_database(usable(frames, self.findings))
-        self._scene = pipeline.scene(self._built)
-        return self._built
+        built = self._built = pipeline.build_database(usable(frames, self.findings))
+        self._scene = pipeline.scene(built)
+        return built
 
     def estimate(self, goal: Frame) -> list[PoseEstimate]:
         """Check a goal image, and estimate the motions towards it; none is surer than what was found allows.
@@ -66,7 +67,7 @@ class Session:
             ToolkitError: no database was built yet, or a stage refuses its input.
         """
         scene = self.scene
-        if scene.database is not self._built:
+        if self._built is not None and scene.database is not self._built:
             # The last goal showed instances to be one object, which the next one need not.
             scene = self._scene = self._runner.pipeline.scene(self._built)
         self.findings = by_severity([*self._of_frames, *check_goal(goal, scene.database.frames)])

@@ -60,9 +60,10 @@ def _undone(suspect: Suspect, goal: Frame, table: Table) -> Float:
     Several frames that agree are right. A single one may be wrong in the same way, and the goal's pose counts from it.
     """
     meant = suspect.undo(goal.camera.T_world_camera)
-    if len(table.frames) > 1:
+    first, *others = table.frames
+    if others:
         return meant
-    stated = table.frames[0].camera.T_world_camera
+    stated = first.camera.T_world_camera
     return stated @ invert(suspect.undo(stated)) @ meant
 
 

@@ -64,9 +64,9 @@ def _explains(supposed: Agreement, stated: Agreement) -> bool:
 def _odd_ones(sightings: Sequence[Sighting], poses: Sequence[Float], stated: Agreement) -> list[Finding]:
     """Frames that alone contradict the others are left out, if those then agree."""
     usual = float(np.median(stated.contradicted))
-    odd = np.flatnonzero(stated.contradicted > max(_ODD, _ODD_AGAINST * usual))
+    odd: list[int] = np.flatnonzero(stated.contradicted > max(_ODD, _ODD_AGAINST * usual)).tolist()
     rest = [i for i in range(len(sightings)) if i not in odd]
-    if not len(odd) or len(rest) < 2:
+    if not odd or len(rest) < 2:
         return []
     if not agreement([sightings[i] for i in rest], [poses[i] for i in rest]).sound:
         return []

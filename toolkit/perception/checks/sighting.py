@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,6 +22,8 @@ _SMOOTH = 0.02
 
 _THINNED = 7
 
+_NEAR_M, _FAR_M = 0.15, 4.0
+
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
@@ -39,10 +41,21 @@ class Sighting:
     flat: Float
     raised: Float
 
+    def scaled(self, unit: float, frame: Frame) -> Sighting:
+        """What is seen, `unit` times as far away, in the frame that has it so."""
+        plane = Plane(self.plane.coefficients / unit, self.plane.noise / unit)
+        return Sighting(frame, plane, self.flat * unit, self.raised * unit)
+
 
 def sight(frame: Frame) -> Sighting | None:
     """Find the table in one RGB-D frame; None where it shows none."""
     assert frame.depth is not None
+    measured = frame.depth[frame.depth > 0]
+    unit = float(np.median(measured)) if len(measured) else 1.0
+    if not _NEAR_M < unit < _FAR_M:
+        # A table is looked for by metres; in wrong ones it is found by bringing it as near as tables are.
+        near = sight(replace(frame, depth=(frame.depth / unit).astype(np.float32)))
+        return None if near is None else near.scaled(unit, frame)
     try:
         table = find_table((frame,))
     except ToolkitError:
