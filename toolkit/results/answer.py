@@ -85,7 +85,7 @@ def why_nothing(estimates: Sequence[PoseEstimate], regions: int) -> str:
     """
     if not regions:
         cause = "no object stands out from the table in the depth of the current frames"
-        return f"no motion: {cause}; are they higher than a centimetre, and is the table in view in `overlay.png`?"
+        return f"no motion: {cause}; are they higher than a centimetre, and on the table?"
     if not estimates:
         return "no motion: no object was found in the goal image; does it show the same table, in similar light?"
     reasons = {e.failure.reason for e in estimates if e.failure is not None}
