@@ -89,6 +89,7 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
             if capture.truth is not None and capture.goal.true_masks is not None:
                 rows += score(capture, estimates, cell=cell.name, scene_id=scene_id, weights=session.weights)
                 with writable(f"'{out}'"):
+                    out.mkdir(parents=True, exist_ok=True)
                     write_rows(out / ROWS, rows)
             advance(1)
     if rows:
