@@ -29,8 +29,8 @@ LAYERS = [
 WINGS = ("perception", "rearrangement")
 """Their folders are stages. What stages are made of comes before `stages.py`, what joins them after the folders."""
 
-SHARED = {"tabletop"}
-"""Folders that are no stages, but what several stages are made of."""
+SHARED = {"tabletop", "checks"}
+"""Folders that are no stages: what several stages are made of, and what captures are checked with."""
 
 HEAVY = {
     *("cv2", "faiss", "jax", "joblib", "kornia", "matplotlib", "numpy", "onnxruntime", "pybullet"),

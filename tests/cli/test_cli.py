@@ -211,7 +211,9 @@ def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
         assert (entry["T_goal_current"] is None) == (entry["status"] != "estimated")
     picture = cv2.imread(str(tmp_path / "out" / "overlay.png"))
     goal = cv2.imread(str(dataset / "000000" / "goal" / "rgb" / "000000.png"))
-    assert picture.shape == goal.shape and (picture != goal).any()
+    assert picture.shape[1:] == goal.shape[1:] and (picture[: len(goal)] != goal).any()
+    assert poses["findings"] == []
+    assert "confidence" in done.stdout and "overlay.png" in done.stdout
     assert list((tmp_path / "out").glob("matches_*.png"))
 
 
@@ -259,6 +261,51 @@ def test_evaluate_scores_a_folder_of_captures(dataset, tmp_path):
     assert sum(row.success_sym for row in rows) >= 2
     assert (tmp_path / "out" / "000001" / "poses.json").is_file()
     assert "5 deg 2 cm" in done.stdout
+
+
+def in_opengls_axes(capture):
+    """Write both scenes' poses with y up and z backwards, as renderers have them."""
+    for scene in ("current", "goal"):
+        path = capture / scene / "scene_camera.json"
+        cameras = json.loads(path.read_text())
+        for entry in cameras.values():
+            R, t = np.reshape(entry["cam_R_w2c"], (3, 3)), np.ravel(entry["cam_t_w2c"])
+            entry["cam_R_w2c"] = (np.diag([1, -1, -1]) @ R).ravel().tolist()
+            entry["cam_t_w2c"] = (np.diag([1, -1, -1]) @ t).tolist()
+        path.write_text(json.dumps(cameras))
+
+
+def test_a_capture_is_checked(dataset, capture_copy, tmp_path):
+    done = toolkit("capture", "check", dataset / "000000")
+    assert done.returncode == 0, done.stderr
+    assert "nothing is wrong" in done.stdout
+    in_opengls_axes(capture_copy)
+    for command in (["capture", "check", capture_copy], ["estimate", capture_copy, "--out", tmp_path / "out"]):
+        done = toolkit(*command)
+        assert done.returncode == 2
+        assert "OpenGL" in done.stderr and done.stderr.strip().splitlines()[-1].startswith("error: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_refused_counts_as_missed_in_an_evaluation(capture_copy, tmp_path):
+    in_opengls_axes(capture_copy)
+    folder = tmp_path / "several"
+    shutil.move(capture_copy, folder / "000000")
+    done = toolkit("evaluate", folder, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "OpenGL" in done.stderr
+    rows = read_rows(tmp_path / "out" / "rows.jsonl")
+    assert rows and {row.status for row in rows} == {"missed"}
+
+
+def test_nothing_found_is_a_sentence_and_exit_1(capture_copy, tmp_path):
+    for path in (capture_copy / "goal" / "rgb").iterdir():
+        picture = cv2.imread(str(path))
+        cv2.imwrite(str(path), np.full_like(picture, 2))
+    done = toolkit("estimate", capture_copy, "--out", tmp_path / "out")
+    assert done.returncode == 1, done.stderr
+    assert "nearly black" in done.stdout
+    assert done.stderr.strip().splitlines()[-1].startswith("no motion")
 
 
 def test_datasets_are_built_and_shown(tmp_path):

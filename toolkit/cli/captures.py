@@ -1,7 +1,8 @@
-"""`toolkit estimate` and `toolkit evaluate`: captures from disk."""
+"""`toolkit estimate`, `toolkit evaluate` and `toolkit capture`: captures from disk."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +12,8 @@ from toolkit.cli.console import bars, say
 from toolkit.cli.options import ExperimentArgument, OutOption, read_cell, with_experiment_options
 
 app = typer.Typer()
+capture_app = typer.Typer(help="Look at a capture folder.", no_args_is_help=True)
+app.add_typer(capture_app, name="capture")
 
 
 @app.command()
@@ -26,15 +29,25 @@ def estimate(
     choices: dict[str, Any],
 ) -> None:
     """Estimate the motion of every object of one capture: poses.json, and pictures to judge them by."""
-    from toolkit.data.bop import masked_scenes
-    from toolkit.harness.estimate import estimate_folder, poses_table
-
+    progress = bars()
     folder = out or Path("runs") / "estimate" / capture.resolve().name
-    if masks is not None:
-        slots = {"current": "segmenter", "goal": "goal_segmenter"}
-        choices |= {slots[scene]: ["masks"] for scene in masked_scenes(masks)}
-    estimates = estimate_folder(capture, read_cell(experiment, choices), folder, bars(), masks)
-    say(poses_table(estimates), f"\nWritten: {folder / 'poses.json'}")
+    with progress.waiting("Loading"):
+        from toolkit.data.bop import masked_scenes
+        from toolkit.harness.estimate import estimate_folder
+        from toolkit.results.answer import motions, to_look_at, why_nothing
+
+        if masks is not None:
+            slots = {"current": "segmenter", "goal": "goal_segmenter"}
+            choices |= {slots[scene]: ["masks"] for scene in masked_scenes(masks)}
+        answer = estimate_folder(capture, read_cell(experiment, choices), folder, progress, masks)
+    if answer.estimates:
+        say(motions(answer.estimates, answer.points()))
+    doubts = list(to_look_at(answer.estimates, answer.missing(), answer.findings))
+    say(*(["Look at:", *(f"  {doubt}" for doubt in doubts), ""] if doubts else []))
+    say(f"Pictures: {folder / 'overlay.png'}", f"Written: {folder / 'poses.json'}")
+    if all(estimate.T_goal_current is None for estimate in answer.estimates):
+        sys.stderr.write(why_nothing(answer.estimates, len(answer.database)) + "\n")
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -58,3 +71,24 @@ def evaluate(
     if rows:
         motion_table(summarize(rows)).print(Console())
     say(f"\nWritten: {folder}")
+
+
+@capture_app.command("check")
+def check(
+    capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
+    masks: Annotated[Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder.")] = None,
+) -> None:
+    """Say what is wrong with a capture: poses, units, axes, cam_K, depth, light, and whether the goal fits."""
+    progress = bars()
+    with progress.waiting("Checking"):
+        from toolkit.data.bop import load_capture
+        from toolkit.perception.checks.capture import check_capture, refuse
+
+        loaded = load_capture(capture, masks)
+        findings = check_capture(loaded)
+    say(*loaded.notes)
+    refuse(findings)
+    say(*(f"{finding.severity}: {finding.sentence}" for finding in findings))
+    if not findings:
+        count = len(loaded.current)
+        say(f"nothing is wrong with {count} current frame{'s' if count > 1 else ''} and the goal that can be measured")

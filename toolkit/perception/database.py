@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolkit.errors import ToolkitError
 from toolkit.types import Camera, Float, Frame, Region, Segment
 
-_SCHEMA = 1
+_SCHEMA = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,8 @@ class Database:
         instances: (R,) int64 object instance of every region.
         descriptors: (R, d) float32 unit rows (G of the paper).
         dropped: segments that gave no region (too few measured points), counted so that nothing vanishes silently.
+        T_world_level: (4, 4) from the table's own frame into this one's (`toolkit.perception.level`).
+        in_level: the same database in the table's own frame; None where this one is in it.
     """
 
     frames: tuple[Frame, ...]
@@ -34,6 +36,8 @@ class Database:
     instances: NDArray[np.int64]
     descriptors: Float
     dropped: int = 0
+    T_world_level: Float = field(default_factory=lambda: np.eye(4))
+    in_level: Database | None = None
 
     def __post_init__(self) -> None:
         r = len(self.regions)
@@ -42,6 +46,25 @@ class Database:
 
     def __len__(self) -> int:
         return len(self.regions)
+
+    @property
+    def level(self) -> Database:
+        """The database as stages see it: in the table's own frame."""
+        return self if self.in_level is None else self.in_level
+
+    def placed(self, T_world_level: Float) -> Database:
+        """The database in the user's world, this one kept as its `level`.
+
+        Args:
+            T_world_level: (4, 4) from this database's frame into the world.
+        """
+        return replace(
+            self,
+            frames=tuple(frame.moved(T_world_level) for frame in self.frames),
+            regions=tuple(region.moved(T_world_level) for region in self.regions),
+            T_world_level=T_world_level,
+            in_level=self,
+        )
 
     @property
     def observations(self) -> Float:
@@ -62,31 +85,34 @@ class Database:
         instances = self.instances.copy()
         for first, *others in groups:
             instances[np.isin(instances, others)] = first
-        return replace(self, instances=instances)
+        in_level = None if self.in_level is None else self.in_level.joined(groups)
+        return replace(self, instances=instances, in_level=in_level)
 
     def save(self, path: Path) -> None:
         """Write everything to one .npz file, without pickle."""
-        starts = np.cumsum([0, *(len(region.points) for region in self.regions)])
+        kept = self.level
+        starts = np.cumsum([0, *(len(region.points) for region in kept.regions)])
         np.savez_compressed(
             path,
             schema=np.array(_SCHEMA),
-            frame_index=np.array([frame.index for frame in self.frames]),
-            rgb=np.stack([frame.rgb for frame in self.frames]),
-            depth=np.stack([_depth(frame) for frame in self.frames]),
-            K=np.stack([frame.camera.K for frame in self.frames]),
-            T_world_camera=np.stack([frame.camera.T_world_camera for frame in self.frames]),
-            region_frame=np.array([region.frame_index for region in self.regions], np.int64),
-            masks=np.stack([np.packbits(region.segment.mask) for region in self.regions])
-            if self.regions
+            frame_index=np.array([frame.index for frame in kept.frames]),
+            rgb=np.stack([frame.rgb for frame in kept.frames]),
+            depth=np.stack([_depth(frame) for frame in kept.frames]),
+            K=np.stack([frame.camera.K for frame in kept.frames]),
+            T_world_camera=np.stack([frame.camera.T_world_camera for frame in kept.frames]),
+            region_frame=np.array([region.frame_index for region in kept.regions], np.int64),
+            masks=np.stack([np.packbits(region.segment.mask) for region in kept.regions])
+            if kept.regions
             else np.zeros((0, 0), np.uint8),
-            scores=np.array([region.segment.score for region in self.regions]),
+            scores=np.array([region.segment.score for region in kept.regions]),
             starts=starts,
-            points=np.concatenate([np.zeros((0, 3), np.float32), *(region.points for region in self.regions)]),
-            pixels=np.concatenate([np.zeros((0, 2), np.int32), *(region.pixels for region in self.regions)]),
-            observations=self.observations,
-            instances=self.instances,
-            descriptors=self.descriptors,
-            meta=np.array(json.dumps({"dropped": self.dropped})),
+            points=np.concatenate([np.zeros((0, 3), np.float32), *(region.points for region in kept.regions)]),
+            pixels=np.concatenate([np.zeros((0, 2), np.int32), *(region.pixels for region in kept.regions)]),
+            observations=kept.observations,
+            instances=kept.instances,
+            T_world_level=self.T_world_level,
+            descriptors=kept.descriptors,
+            meta=np.array(json.dumps({"dropped": kept.dropped})),
         )
 
     @classmethod
@@ -124,7 +150,9 @@ class Database:
             for r in range(len(data["region_frame"]))
         )
         dropped = int(json.loads(str(data["meta"]))["dropped"])
-        return cls(frames, regions, data["instances"], data["descriptors"], dropped)
+        level = cls(frames, regions, data["instances"], data["descriptors"], dropped)
+        T = data["T_world_level"]
+        return level if np.array_equal(T, np.eye(4)) else level.placed(T)
 
 
 def _depth(frame: Frame) -> Float:

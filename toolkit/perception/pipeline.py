@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolkit.errors import ToolkitError
+from toolkit.geometry import invert
 from toolkit.perception.crops import crop_region
 from toolkit.perception.database import Database
+from toolkit.perception.level import measure_level
 from toolkit.perception.parts import Parts, PipelineSettings, Stages
 from toolkit.perception.regions import lift_segment
 from toolkit.perception.scene import Scene
@@ -29,12 +31,22 @@ class Pipeline(Parts):
     def build_database(self, frames: Sequence[Frame]) -> Database:
         """Database construction: segment, lift, associate and describe every region of the chosen frames.
 
+        Stages work in the table's own frame, wherever it lies; the database is in the world of the frames.
+
         Raises:
             ToolkitError: more views are asked for than there are, or a stage refuses its input.
         """
         frames = self._choose_views(frames)
         with self.meter.stage("registration"):
             frames = self.stages.registration.register(frames)
+            T_world_level = measure_level(frames)
+        if T_world_level is None:
+            return self._build(frames)
+        level = invert(T_world_level)
+        return self._build([frame.moved(level) for frame in frames]).placed(T_world_level)
+
+    def _build(self, frames: Sequence[Frame]) -> Database:
+        """The database of registered frames, in their own world."""
         regions: list[Region] = []
         dropped = 0
         with self.meter.stage("segmenter"):

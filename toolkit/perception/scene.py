@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry import invert
 from toolkit.perception.database import Database
 from toolkit.perception.explanation import ExplainTask, Placement
 from toolkit.perception.fusion import Models, RefineTask, Start
@@ -21,6 +22,8 @@ from toolkit.types import Failure, Frame, PoseEstimate, Segment
 class Scene:
     """A database and what is made of it on the way: features of its regions and fused models, kept for further goals.
 
+    Stages and models know the table's own frame only; goals come from the user's world and motions go back to it.
+
     Args:
         parts: the pipeline's.
         database: of the current scene; it may be empty.
@@ -28,9 +31,9 @@ class Scene:
 
     def __init__(self, parts: Parts, database: Database) -> None:
         self.database = database
-        self.models = Models(database)
+        self.models = Models(database.level)
         self._parts = parts
-        self._references = References(database, parts.stages.matcher, parts.settings.crop_margin)
+        self._references = References(database.level, parts.stages.matcher, parts.settings.crop_margin)
 
     def estimate(self, goal: Frame) -> list[PoseEstimate]:
         """Pose estimation (Sec. Method A): one estimate for every object segmented in the goal image.
@@ -40,7 +43,13 @@ class Scene:
         Raises:
             ToolkitError: a stage refuses its input.
         """
-        parts, database = self._parts, self.database
+        T_world_level = self.database.T_world_level
+        estimates = self._estimate(goal.moved(invert(T_world_level)))
+        return [estimate.in_world(T_world_level) for estimate in estimates]
+
+    def _estimate(self, goal: Frame) -> list[PoseEstimate]:
+        """The estimates in the table's own frame, in which the goal's camera is given."""
+        parts, database = self._parts, self.database.level
         with parts.meter.stage("registration"):
             goal = parts.stages.registration.locate(goal, database.frames)
         with parts.meter.stage("segmenter"):
@@ -48,7 +57,8 @@ class Scene:
         with parts.meter.stage("explainer"):
             explanation = parts.stages.explainer.explain(ExplainTask(goal, tuple(segments), self.models))
         if explanation is not None and explanation.joined:
-            database = self.database = self.database.joined(explanation.joined)
+            self.database = self.database.joined(explanation.joined)
+            database = self.database.level
             self.models = Models(database)
             self._references.database = database
         if explanation is not None:

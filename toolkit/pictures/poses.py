@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import cv2
@@ -14,14 +16,21 @@ from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
+from toolkit.results.answer import SURE
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.rows import Row
-from toolkit.types import Capture, Float, PoseEstimate
+from toolkit.types import Capture, Finding, Float, PoseEstimate
 
 POSES_SCHEMA = 1
 
 
-def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> Path:
+def write_poses(
+    out: Path,
+    capture: Capture,
+    database: Database,
+    estimates: Sequence[PoseEstimate],
+    findings: Sequence[Finding] = (),
+) -> Path:
     """Write OUT/poses.json, the goal masks, and the pictures beside it. Returns the path of poses.json."""
     masks = out / "masks"
     masks.mkdir(parents=True, exist_ok=True)
@@ -48,16 +57,15 @@ def write_poses(out: Path, capture: Capture, database: Database, estimates: Sequ
             }
         )
     path, missing = out / "poses.json", missing_instances(database, estimates)
-    write_json(path, {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects, "not_in_goal": missing})
-    write_pictures(out, capture, database, estimates)
+    content = {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects, "not_in_goal": missing}
+    write_json(path, {**content, "findings": [asdict(finding) for finding in findings]})
+    write_pictures(out, capture, database, estimates, findings)
     return path
 
 
-SURE = 0.5
-"""Confidence above which an answer is called sure."""
-
 _SURE, _DOUBTFUL, _WITHHELD, _UNKNOWN = (40, 200, 90), (245, 190, 40), (240, 80, 60), (200, 140, 235)
 _PLAIN: Color = (225, 225, 225)
+_LETTER_PX = 10
 LEGEND: dict[str, Color] = {
     f"sure (over {SURE:.0%})": _SURE,
     "doubtful: look at it": _DOUBTFUL,
@@ -67,20 +75,28 @@ LEGEND: dict[str, Color] = {
 """What the colours of an overlay mean."""
 
 
-def write_pictures(out: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> None:
+def write_pictures(
+    out: Path,
+    capture: Capture,
+    database: Database,
+    estimates: Sequence[PoseEstimate],
+    findings: Sequence[Finding] = (),
+) -> None:
     """Write OUT/overlay.png, and OUT/matches_<object>.png for every object that has correspondences."""
-    _write_png(out / "overlay.png", overlay_picture(capture, database, estimates))
+    _write_png(out / "overlay.png", overlay_picture(capture, database, estimates, findings))
     for estimate in estimates:
         picture = matches_picture(capture, database, estimate)
         if picture is not None:
             _write_png(out / f"matches_{estimate.goal_object:06d}.png", picture)
 
 
-def overlay_picture(capture: Capture, database: Database, estimates: Sequence[PoseEstimate]) -> np.ndarray:
+def overlay_picture(
+    capture: Capture, database: Database, estimates: Sequence[PoseEstimate], findings: Sequence[Finding] = ()
+) -> np.ndarray:
     """The goal image with every goal object: number, instance and confidence, coloured by how sure that is.
 
     An object with a motion is outlined where that puts its instance, one without by its mask. Beneath stand what the
-    colours mean, and the instances that the goal does not show.
+    colours mean, the instances that the goal does not show, and what was found wrong with the capture.
 
     Returns:
         (H', W, 3) uint8, the goal image on top.
@@ -94,7 +110,10 @@ def overlay_picture(capture: Capture, database: Database, estimates: Sequence[Po
     picture = overlay(capture.goal, outlines, masks)
     missing = missing_instances(database, estimates)
     absent = [f"not seen in the goal: {', '.join(f'#{i}' for i in missing)}"] if missing else []
-    return with_legend(picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent)])
+    said = [line for f in findings for line in wrap(f"{f.severity}: {f.sentence}", picture.shape[1] // _LETTER_PX)]
+    return with_legend(
+        picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent), *((line, _DOUBTFUL) for line in said)]
+    )
 
 
 def missing_instances(database: Database, estimates: Sequence[PoseEstimate]) -> list[int]:

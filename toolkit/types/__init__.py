@@ -7,6 +7,7 @@ camera axes (x right, y down, z forward), `T_a_b` is the 4x4 that takes points o
 from toolkit.types.arrays import Float, Image, Mask
 from toolkit.types.captures import Capture, ObjectModel, Placed, TrueObject
 from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined
+from toolkit.types.findings import Finding, Severity
 from toolkit.types.gripper import Gripper
 from toolkit.types.images import Camera, Crop, Frame, Segment
 from toolkit.types.matching import Correspondences, Matches, Region
@@ -19,6 +20,7 @@ __all__ = [
     "Correspondences",
     "Crop",
     "Failure",
+    "Finding",
     "Float",
     "Frame",
     "Gripper",
@@ -32,5 +34,6 @@ __all__ = [
     "Refined",
     "Region",
     "Segment",
+    "Severity",
     "TrueObject",
 ]

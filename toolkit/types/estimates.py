@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import is_rigid, transform_points
+from toolkit.geometry import invert, is_rigid, transform_points
 from toolkit.types.arrays import (
     Float,
     Mask,
@@ -167,6 +167,18 @@ class PoseEstimate:
         if self.T_goal_current is None:
             raise ToolkitError("a failed estimate moves nothing")
         return transform_points(self.T_goal_current, points)
+
+    def in_world(self, T: Float) -> PoseEstimate:
+        """The estimate in another world, into which (4, 4) `T` takes points of its own."""
+        back, turns = invert(T), np.kron(np.eye(2), T[:3, :3])
+        motion, others, covariance = self.T_goal_current, self.equivalents, self.covariance
+        return replace(
+            self,
+            T_goal_current=None if motion is None else T @ motion @ back,
+            equivalents=None if others is None else T @ others @ back,
+            covariance=None if covariance is None else turns @ covariance @ turns.T,
+            correspondences=None if self.correspondences is None else self.correspondences.moved(T),
+        )
 
 
 def _checked_equivalents(equivalents: Float, motion: Float, ambiguity: Ambiguity | None) -> Float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,10 @@ class Camera:
         require(whole, f"image size must be whole pixels, at least 1x1, got {self.width}x{self.height}")
         freeze(self, K=K, T_world_camera=T, width=int(self.width), height=int(self.height))
 
+    def moved(self, T: Float) -> Camera:
+        """The camera as it stands in another world, into which (4, 4) `T` takes points of its own."""
+        return replace(self, T_world_camera=T @ self.T_world_camera)
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -84,6 +88,10 @@ class Frame:
             if masks is not None:
                 what = f"{name}: mask of object"
                 freeze(self, **{which: {k: checked(mask, size, np.bool_, f"{what} {k}") for k, mask in masks.items()}})
+
+    def moved(self, T: Float) -> Frame:
+        """The frame with its camera in another world, into which (4, 4) `T` takes points of its own."""
+        return replace(self, camera=self.camera.moved(T))
 
 
 def _checked_depth(depth: Float, size: tuple[int, int], what: str) -> Float:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry import transform_points
 from toolkit.types.arrays import Float, checked, freeze, require
 from toolkit.types.images import Camera, Segment
 
@@ -44,6 +45,11 @@ class Region:
         length = float(np.linalg.norm(observation))
         require(abs(length - 1) < 1e-6, f"a region's observation vector must be of length 1, got {length}")
         freeze(self, points=points, pixels=pixels, observation=observation)
+
+    def moved(self, T: Float) -> Region:
+        """The region in another world, into which (4, 4) `T` takes points of its own."""
+        points = transform_points(T, self.points.astype(np.float64)).astype(np.float32)
+        return replace(self, points=points, observation=T[:3, :3] @ self.observation)
 
     @property
     def centroid(self) -> Float:
@@ -107,6 +113,10 @@ class Correspondences:
         pixels = checked(self.pixels, (len(points), 2), np.float64, "the correspondences' pixels")
         weights = _checked_shares(self.weights, (len(points),), "the correspondences' weights")
         freeze(self, points=points, pixels=pixels, weights=weights)
+
+    def moved(self, T: Float) -> Correspondences:
+        """The same problem in another world, into which (4, 4) `T` takes points of its own."""
+        return replace(self, points=transform_points(T, self.points), camera=self.camera.moved(T))
 
     @property
     def K(self) -> Float:

@@ -1,0 +1,84 @@
+"""The goal image against the current frames: does its camera see the table, and is the table where its pose says?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from toolkit.errors import ToolkitError
+from toolkit.geometry import invert
+from toolkit.perception.checks.likeness import Plan, bare_plans, likeness, plan
+from toolkit.perception.checks.suspects import AXES, Suspect, rescaled
+from toolkit.perception.tabletop.table import Table
+from toolkit.types import Finding, Float, Frame
+
+_LEAST_SHARE, _SMALL_SHARE, _FAIR_SHARE = 0.02, 0.1, 0.3
+"""Parts of the goal image that show the table: with less nothing can be found, or little, or all may be well."""
+
+_PATCHES = 40
+_UNLIKE, _LIKE = 0.15, 0.5
+"""Correlations of the table's texture: a table elsewhere is below the one, the same table above the other."""
+
+_DOUBT, _LITTLE = 0.3, 0.5
+
+_UNITS = tuple(
+    Suspect(rescaled(factor), f"its pose looks like one in {unit}", "cam_t_w2c is in millimetres")
+    for factor, unit in ((1000.0, "metres"), (10.0, "centimetres"))
+)
+
+
+def check_table(goal: Frame, table: Table) -> list[Finding]:
+    """Compare a goal image with the table that the current frames show."""
+    plans = bare_plans(table)
+    share = float(table.surface(goal.camera).mean())
+    alike = _likeness(goal, goal.camera.T_world_camera, table, plans)
+    textured = len(alike) >= _PATCHES
+    if np.median(alike) > _UNLIKE if textured else share > _FAIR_SHARE:
+        return []
+    blind = f"the goal image shows {'no' if share < _LEAST_SHARE else 'another'} table, by its pose"
+    for suspect in (*AXES, *_UNITS):
+        seen = _likeness(goal, _undone(suspect, goal, table), table, plans)
+        if len(seen) >= _PATCHES and np.median(seen) > _LIKE:
+            return [Finding("refused", f"{blind}, and {suspect.sentence}")]
+    if share < _LEAST_SHARE:
+        remedy = "is goal/scene_camera.json in the same world, axes and units as current/scene_camera.json?"
+        return [Finding("refused", f"{blind}; {remedy}")]
+    if textured and _steady(plans):
+        sentence = "the texture of the table is elsewhere in the goal image than its pose says"
+        causes = "is that the pose of this image, and are the current poses not one image off?"
+        return [Finding("doubtful", f"{sentence}; {causes}", _DOUBT)]
+    if share < _SMALL_SHARE:
+        sentence = f"only {share:.0%} of the goal image shows the table, by its pose; point the camera at it"
+        return [Finding("doubtful", sentence, _LITTLE)]
+    return []
+
+
+def _undone(suspect: Suspect, goal: Frame, table: Table) -> Float:
+    """(4, 4) the goal's pose without a suspect mistake.
+
+    Several frames that agree are right. A single one may be wrong in the same way, and the goal's pose counts from it.
+    """
+    meant = suspect.undo(goal.camera.T_world_camera)
+    first, *others = table.frames
+    if others:
+        return meant
+    stated = first.camera.T_world_camera
+    return stated @ invert(suspect.undo(stated)) @ meant
+
+
+def _steady(plans: list[Plan]) -> bool:
+    """Whether the current frames show one texture; a table that shines or is all noise looks different in each."""
+    between = [likeness(own, [*plans[:i], *plans[i + 1 :]]) for i, own in enumerate(plans)]
+    enough = [float(np.median(values)) for values in between if len(values) >= _PATCHES]
+    return not enough or float(np.median(enough)) > _LIKE
+
+
+def _likeness(goal: Frame, pose: Float, table: Table, plans: list[Plan]) -> Float:
+    try:
+        camera = replace(goal.camera, T_world_camera=pose)
+    except ToolkitError:
+        # No camera can be that far away.
+        return np.zeros(0)
+    whole = np.ones(goal.rgb.shape[:2], bool)
+    return likeness(plan(table, camera, goal.rgb, whole), plans)
