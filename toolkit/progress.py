@@ -29,7 +29,7 @@ class Progress:
     @contextmanager
     def waiting(self, title: str) -> Generator[None]:
         """Show that something is being done, and for how long, where no number of steps is known (`now`)."""
-        if self._console is None:
+        if self._console is None or not self._console.is_terminal:
             yield
             return
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()

@@ -90,7 +90,7 @@ def main() -> None:
         captures = {goal.parent: [goal] for found in captures.values() for goal in found if _has_truth(goal.parent)}
     if empty := [dataset for dataset, found in captures.items() if not found]:
         parser.error(f"there is no capture in '{empty[0]}'")
-    console = Console()
+    console = Console(soft_wrap=True)
     console.print(
         f"Recall and precision at IoU {MATCH_IOU}, mean IoU of the matches, 95 % intervals; median ms per image,"
     )
@@ -106,7 +106,7 @@ def main() -> None:
                     _score(name, capture, number, tallies)
                 advance(1)
         for (name, kind), tally in tallies.items():
-            console.print(f"| {dataset.name} {tally.row(name, kind)}", soft_wrap=True, markup=False)
+            console.print(f"| {dataset.name} {tally.row(name, kind)}", markup=False)
 
 
 def match(segments: list[Segment], truth: list[Mask]) -> list[float]:

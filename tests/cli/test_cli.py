@@ -136,7 +136,7 @@ COMPLETIONS = {
     "rearrange --planner op": {"optimal"},
     "show mat": {"matcher"},
     "show matcher xf": {"xfeat_lighterglue"},
-    "list ex": {"executor", "experiments"},
+    "list ex": {"executor", "experiments", "explainer"},
     "view somewhere --experiment qu": {"quick"},
 }
 

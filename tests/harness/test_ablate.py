@@ -103,7 +103,7 @@ def test_missing_weights_stop_the_command_before_any_work(tmp_path, monkeypatch)
     assert not (tmp_path / "cache").exists()
 
 
-def _no_network(source, target, sha256):
+def _no_network(source, target, sha256, size_mb):
     raise OSError("no route to host")
 
 

@@ -38,7 +38,10 @@ def estimate(
 
         if masks is not None:
             slots = {"current": "segmenter", "goal": "goal_segmenter"}
-            choices |= {slots[scene]: ["masks"] for scene in masked_scenes(masks)}
+            scenes = masked_scenes(masks)
+            choices |= {slots[scene]: ["masks"] for scene in scenes}
+            # An explainer would draw the goal's masks anew.
+            choices |= {"explainer": ["none"]} if "goal" in scenes else {}
         answer = estimate_folder(capture, read_cell(experiment, choices), folder, progress, masks)
     if answer.estimates:
         say(motions(answer.estimates, answer.points()))

@@ -97,6 +97,9 @@ _EDGE_M = 0.02
 _DOUBTED = 0.6
 """Pixels at edges are given up where a smooth field of unit deviation exceeds this: a quarter of them."""
 
+_FARTHEST_M = 20.0
+"""These sensors measure nothing beyond; the ripple of a flying pixel would reach the stars."""
+
 _DARK, _BRIGHT = 45.0, 242.0
 """Grey levels (0 to 255) below and above which infrared light does not come back, or only as glare."""
 
@@ -137,7 +140,7 @@ def measure_depth(
         depth = sensor.quantize(depth)
     if "dropout" in effects and kind == "d435":
         depth = noise.dropout(depth, rng)
-    return np.where(lost, 0, depth).astype(np.float32)
+    return np.where(lost | (depth > _FARTHEST_M), 0, depth).astype(np.float32)
 
 
 def mixed_edges(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> Float:
