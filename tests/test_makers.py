@@ -81,9 +81,7 @@ def make_stage_outputs(cache: Path, given: Path) -> None:
 
 def make_weights(cache: Path, given: Path) -> None:
     address = (given / "server").read_text()
-    card = WeightCard(
-        "w", "folder/w.bin", "none", "CC0-1.0", 0.3, (f"{address}/w.bin",), "none", companions=("w.txt",)
-    )
+    card = WeightCard("w", "folder/w.bin", "none", "CC0-1.0", 0.3, (f"{address}/w.bin",), "none", companions=("w.txt",))
     resolve_weights(card)
 
 
