@@ -105,12 +105,16 @@ def observation_vector(T_world_camera: Float, points: Float) -> Float:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
+CUBE_STEPS = (1, 1 << 20, 1 << 40)
+"""What the number of a cube (`cubes`) rises by from one to the next, along x, y and z."""
+
+
 def cubes(points: Float, side: float) -> NDArray[np.int64]:
     """(N,) the cube of a grid of `side` that each of (N, 3) points lies in; the grid has a corner at the origin.
 
     Cubes rise by their last coordinate, then by the one before it. Good for half a million cubes each way.
     """
-    return np.floor(points / side).astype(np.int64) @ [1, 1 << 20, 1 << 40]
+    return np.floor(points / side).astype(np.int64) @ CUBE_STEPS
 
 
 def group_means(values: NDArray[Any], groups: NDArray[np.int64], counts: NDArray[np.int64]) -> Float:

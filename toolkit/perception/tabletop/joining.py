@@ -8,15 +8,13 @@ from itertools import combinations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from toolkit.perception.fusion import FusedModel
+from toolkit.perception.tabletop.colours import colour_bins, smooth_histograms
 from toolkit.perception.tabletop.table import inside_convex
 from toolkit.types import Float, Image
 
-_LEVELS = 8
-_SMOOTH_BINS = 0.7
 _CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
 """A piece smaller than this, or than this part of its neighbour, is no object of its own."""
 
@@ -134,24 +132,16 @@ def are_close(one: Float, other: Float) -> bool:
 
 
 def _piece(points: Float, colours: Float) -> _Piece:
-    cube = np.bincount(_bins(colours), minlength=_LEVELS**3).astype(np.float64)
-    smooth = gaussian_filter(cube.reshape(_LEVELS, _LEVELS, _LEVELS), _SMOOTH_BINS)
-    return _Piece(smooth.ravel(), float(len(points)), points.astype(np.float64))
-
-
-def _bins(colours: Image | Float) -> NDArray[np.int64]:
-    levels = colours.astype(np.int64) * _LEVELS // 256
-    return (levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]
+    (histogram,) = smooth_histograms(np.zeros(len(points), np.int64), colour_bins(colours), 1)
+    return _Piece(histogram, float(len(points)), points.astype(np.float64))
 
 
 def _make(pieces: Pieces, count: int) -> list[_Piece]:
-    bins, owner = _bins(pieces.colours), pieces.of_voxel[pieces.voxel_of_pixel]
+    of_voxel, owner = pieces.of_voxel, pieces.of_voxel[pieces.voxel_of_pixel]
     seen = owner >= 0
-    flat = np.bincount(owner[seen] * _LEVELS**3 + bins[seen], minlength=count * _LEVELS**3).astype(np.float64)
-    cubes = gaussian_filter(flat.reshape(count, _LEVELS, _LEVELS, _LEVELS), (0, *[_SMOOTH_BINS] * 3))
-    of_voxel = pieces.of_voxel
+    histograms = smooth_histograms(owner[seen], colour_bins(pieces.colours[seen]), count)
     areas = np.bincount(of_voxel[of_voxel >= 0], minlength=count) * pieces.cell**2
-    return [_Piece(cubes[k].ravel(), float(areas[k]), pieces.center[of_voxel == k]) for k in range(count)]
+    return [_Piece(histograms[k], float(areas[k]), pieces.center[of_voxel == k]) for k in range(count)]
 
 
 def _borders(known: list[_Piece], pieces: Pieces) -> dict[tuple[int, int], tuple[int, Float]]:

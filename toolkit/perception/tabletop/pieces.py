@@ -19,7 +19,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from toolkit.geometry import invert
+from toolkit.geometry import CUBE_STEPS, cubes, group_means, invert, project, transform_points
 from toolkit.perception.tabletop.creases import smooth_parts
 from toolkit.perception.tabletop.joining import Pieces, join_pieces
 from toolkit.perception.tabletop.labels import nearest_label
@@ -171,12 +171,10 @@ def _voxels(reliefs: Sequence[Relief]) -> Voxels:
     places = np.concatenate([r.places[r.things] for r in reliefs]).astype(np.float64)
     frame_of = np.repeat(np.arange(len(reliefs)), [int(r.things.sum()) for r in reliefs])
     cell = max(_CELL_M, _CELL_PIXELS * max(_pixel_m(r) for r in reliefs if r.things.any()))
-    cells = np.floor((places - places.min(axis=0)) / cell).astype(np.int64) + 1
-    spans = cells.max(axis=0) + 2
-    stride = np.array([1, spans[0], spans[0] * spans[1]])
-    keys, of_pixel, counts = np.unique(cells @ stride, return_inverse=True, return_counts=True)
+    grid = cubes(places - places.min(axis=0), cell)
+    keys, of_pixel, counts = np.unique(grid, return_inverse=True, return_counts=True)
     n = len(keys)
-    center = np.stack([np.bincount(of_pixel, axis, n) for axis in places.T], axis=1) / counts[:, None]
+    center = group_means(places, of_pixel, counts)
     parts, angles = np.full((n, len(reliefs)), -1, np.int64), np.zeros(len(places))
     elsewhere = np.zeros(n, bool)
     for k, r in enumerate(reliefs):
@@ -188,7 +186,7 @@ def _voxels(reliefs: Sequence[Relief]) -> Voxels:
         elsewhere |= (parts[:, k] >= 0) & beyond[parts[:, k]]
     seen = np.zeros((n, len(reliefs)), bool)
     seen[of_pixel, frame_of] = True
-    pairs, face = _neighbours(keys, stride)
+    pairs, face = _neighbours(keys)
     return Voxels(
         of_pixel, frame_of, center, np.bincount(of_pixel, angles, n) / counts, parts, elsewhere, seen, pairs, face, cell
     )
@@ -222,13 +220,13 @@ def _most_common(groups: NDArray[np.int64], values: NDArray[np.int64], count: in
     return chosen
 
 
-def _neighbours(keys: NDArray[np.int64], stride: NDArray[np.int64]) -> tuple[NDArray[np.int64], Mask]:
-    """Pairs of 26-neighbouring cells among sorted keys, and which of them share a face."""
+def _neighbours(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], Mask]:
+    """Pairs of 26-neighbouring cells among sorted keys of `cubes`, and which of them share a face."""
     steps = [(x, y, z) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (-1, 0, 1) if (z, y, x) > (0, 0, 0)]
     pairs: list[NDArray[np.int64]] = []
     face: list[Mask] = []
     for step in steps:
-        wanted = keys + np.array(step) @ stride
+        wanted = keys + np.dot(step, CUBE_STEPS)
         at = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
         found = np.flatnonzero(keys[at] == wanted)
         pairs.append(np.stack([found, at[found]], axis=1))
@@ -238,22 +236,20 @@ def _neighbours(keys: NDArray[np.int64], stride: NDArray[np.int64]) -> tuple[NDA
 
 def _seen_through(reliefs: Sequence[Relief], table: Table, voxels: Voxels) -> Mask:
     """(V,) bool: more frames look through the voxel than see it."""
-    world = voxels.center @ table.T_world_table[:3, :3].T + table.T_world_table[:3, 3]
+    world = transform_points(table.T_world_table, voxels.center)
     against = np.zeros(len(world), np.int64)
     for k, r in enumerate(reliefs):
         assert r.frame.depth is not None
-        camera, T = r.frame.camera, invert(r.frame.camera.T_world_camera)
-        points = world @ T[:3, :3].T + T[:3, 3]
-        ahead = points[:, 2] > 1e-3
-        pixels = points[:, :2] / np.where(ahead, points[:, 2], 1.0)[:, None] * np.diagonal(camera.K)[:2]
-        x, y = np.rint(pixels + camera.K[:2, 2]).astype(np.int64).T
-        inside = ahead & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+        camera = r.frame.camera
+        xy, depth = project(camera.K, invert(camera.T_world_camera), world)
+        x, y = np.rint(np.nan_to_num(xy, nan=-1.0)).astype(np.int64).T
+        inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         # The nearest depth around the pixel: at an edge the ray may pass beside what is there.
         nearest = cv2.erode(np.where(r.frame.depth > 0, r.frame.depth, np.inf), np.ones((_EDGE_PX, _EDGE_PX)))
         behind = np.full(len(world), np.inf)
         behind[inside] = nearest[y[inside], x[inside]]
-        reach = _SEEN_THROUGH_M + _NOISES * r.plane.noise * points[:, 2] ** 2
-        against += inside & np.isfinite(behind) & (behind > points[:, 2] + reach) & ~voxels.seen[:, k]
+        reach = _SEEN_THROUGH_M + _NOISES * r.plane.noise * depth**2
+        against += inside & np.isfinite(behind) & (behind > depth + reach) & ~voxels.seen[:, k]
     return against > voxels.seen.sum(axis=1)
 
 

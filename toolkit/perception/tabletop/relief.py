@@ -8,7 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from toolkit.geometry import invert
+from toolkit.geometry import invert, transform_points
 from toolkit.perception.robust import deviation
 from toolkit.perception.tabletop.plane import Plane, pixel_rays
 from toolkit.perception.tabletop.table import Table
@@ -73,7 +73,7 @@ def relief(frame: Frame, plane: Plane, table: Table, min_height: float) -> Relie
     depth, rays = frame.depth, pixel_rays(frame)
     measured = depth > 0
     T = invert(table.T_world_table) @ frame.camera.T_world_camera
-    places = ((rays * depth[..., None]) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    places = transform_points(T, rays * depth[..., None]).astype(np.float32)
     raw = np.where(measured, plane.heights(rays, depth), 0).astype(np.float32)
     places[..., 2] = raw
     solid = measured & surfaces(depth, plane.noise)

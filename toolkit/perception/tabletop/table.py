@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import invert, project
+from toolkit.geometry import invert, project, transform_points
 from toolkit.perception.tabletop.plane import Plane, fit_near, pixel_rays
 from toolkit.types import Camera, Float, Frame, Mask
 
@@ -87,7 +87,7 @@ class Table:
     def surface(self, camera: Camera, levels: Sequence[float] = (0.0,)) -> Mask:
         """(H, W) bool: where a camera sees the table, or what reaches up to the highest of the levels (metres)."""
         corners = np.concatenate([np.column_stack([self.outline, np.full(len(self.outline), z)]) for z in levels])
-        world = corners @ self.T_world_table[:3, :3].T + self.T_world_table[:3, 3]
+        world = transform_points(self.T_world_table, corners)
         pixels, _ = project(camera.K, invert(camera.T_world_camera), world)
         ahead = pixels[np.isfinite(pixels).all(axis=1)]
         mask = np.zeros((camera.height, camera.width), np.uint8)
@@ -143,7 +143,7 @@ def _sample(frames: Sequence[Frame]) -> tuple[Float, Float, Float]:
         chosen = measured[np.linspace(0, len(measured) - 1, min(_SAMPLES, len(measured))).astype(np.int64)]
         T = frame.camera.T_world_camera
         rays = pixel_rays(frame).reshape(-1, 3)[chosen]
-        points.append((rays * frame.depth.ravel()[chosen, None]) @ T[:3, :3].T + T[:3, 3])
+        points.append(transform_points(T, rays * frame.depth.ravel()[chosen, None]))
         cameras.append(np.broadcast_to(T[:3, 3], (len(chosen), 3)))
         size = np.array([frame.camera.width, frame.camera.height])
         off = np.stack([chosen % size[0], chosen // size[0]], axis=1) / size - 0.5

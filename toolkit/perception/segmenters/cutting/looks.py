@@ -6,21 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
+from toolkit.perception.tabletop.colours import BINS, colour_bins, smooth_histograms
 from toolkit.perception.tabletop.pieces import objects_on_table
-from toolkit.types import Float, Frame, Image
+from toolkit.types import Float, Frame
 
-_LEVELS = 8
-_SMOOTH_BINS = 0.7
 _FLOOR = 1e-3
 _MIN_HEIGHT_M, _MIN_PIXELS = 0.0015, 60
-
-
-def colour_bins(rgb: Image) -> NDArray[np.int64]:
-    """(H, W) index of every pixel's colour bin."""
-    levels = rgb.astype(np.int64) * _LEVELS // 256
-    return (levels[..., 0] * _LEVELS + levels[..., 1]) * _LEVELS + levels[..., 2]
 
 
 def object_looks(current: Sequence[Frame]) -> Float:
@@ -44,13 +36,11 @@ def learn_looks(frames: Sequence[Frame], labels: Sequence[NDArray[np.int32]]) ->
         (K, B) float64 log-probability of every colour bin for every object.
     """
     count = max((int(label.max()) for label in labels), default=0)
-    counts = np.zeros((count, _LEVELS**3))
-    for frame, label in zip(frames, labels, strict=True):
-        shown = label > 0
-        np.add.at(counts, (label[shown] - 1, colour_bins(frame.rgb)[shown]), 1)
     if not count:
-        return counts
-    cubes = counts.reshape(-1, _LEVELS, _LEVELS, _LEVELS)
-    smooth = gaussian_filter(cubes, (0, _SMOOTH_BINS, _SMOOTH_BINS, _SMOOTH_BINS)).reshape(counts.shape)
+        return np.zeros((0, BINS))
+    shown = [label > 0 for label in labels]
+    owners = np.concatenate([label[where] - 1 for label, where in zip(labels, shown, strict=True)])
+    bins = np.concatenate([colour_bins(frame.rgb[where]) for frame, where in zip(frames, shown, strict=True)])
+    smooth = smooth_histograms(owners, bins, count)
     shares = smooth / np.maximum(smooth.sum(axis=1, keepdims=True), 1)
     return np.log(shares + _FLOOR)

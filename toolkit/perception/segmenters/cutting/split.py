@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from toolkit.perception.segmenters.cutting.looks import colour_bins
+from toolkit.perception.tabletop.colours import colour_bins
 from toolkit.perception.tabletop.labels import keep, nearest_label
 from toolkit.perception.tabletop.refine import window
 from toolkit.types import Float, Image, Mask
