@@ -33,11 +33,11 @@ def rank(
         goal: the goal image.
         segments: Q objects in it, at least one.
         models: of the database's instances, for the refiner where it decides between instances that look alike.
-        given: the instances of the first objects, where they are known; the others are then not looked for.
+        given: the Q instances that the objects are, where that is known.
 
     Returns:
-        Q rankings, or as many as are given: database rows by falling similarity. All rows, or
-        those of the one instance that the object is assigned (`PipelineSettings.assignment`).
+        Q rankings: database rows by falling similarity. All rows, or those of the one instance that the object is or is
+        assigned (`PipelineSettings.assignment`).
     """
     with parts.meter.stage("descriptor"):
         size, margin = parts.stages.descriptor.crop_size, parts.settings.crop_margin
@@ -47,7 +47,7 @@ def rank(
         parts.stages.index.build(database.descriptors)
         rankings = list(parts.stages.index.search(queries, len(database))[1])
     if given is not None:
-        return [restrict(r, database.instances, i) for r, i in zip(rankings, given, strict=False)]
+        return [restrict(r, database.instances, i) for r, i in zip(rankings, given, strict=True)]
     if parts.settings.assignment == "vote":
         return rankings
     if parts.settings.assignment == "truth":

@@ -66,15 +66,18 @@ class Scene:
         if not segments:
             return []
         placements = () if explanation is None else explanation.placements
-        given = None if explanation is None else [p.instance for p in placements]
-        rankings = rank(parts, database, goal, segments, self.models, given) if len(database) else []
+        # What an explanation leaves over is none of the database's instances.
+        wanted, given = segments, None
+        if explanation is not None:
+            wanted, given = segments[: len(placements)], [p.instance for p in placements]
+        rankings = rank(parts, database, goal, wanted, self.models, given) if len(database) and wanted else []
         shared_ms, shared_cached = parts.meter.take()
         shared_ms = {stage: time / len(segments) for stage, time in shared_ms.items()}
         estimates: list[PoseEstimate] = []
         for number, segment in enumerate(segments):
             if number < len(rankings):
                 estimate = self._from_matches(goal, number, segment, rankings[number])
-                placement = placements[number] if number < len(placements) else None
+                placement = placements[number] if placements else None
                 estimate = self._refine(estimate, goal, segments, placement)
             else:
                 estimate = PoseEstimate(number, segment, None, None, self._unknown())

@@ -16,7 +16,7 @@ from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
-from toolkit.results.answer import SURE
+from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.rows import Row
 from toolkit.types import Capture, Finding, Float, PoseEstimate
@@ -64,6 +64,14 @@ def write_poses(
 
 
 _SURE, _DOUBTFUL, _WITHHELD, _UNKNOWN = (40, 200, 90), (245, 190, 40), (240, 80, 60), (200, 140, 235)
+_COLORS: dict[str, Color] = {
+    "sure": _SURE,
+    "found": _SURE,
+    "doubtful": _DOUBTFUL,
+    "withheld": _WITHHELD,
+    "failed": _WITHHELD,
+    "unknown": _UNKNOWN,
+}
 _PLAIN: Color = (225, 225, 225)
 _LETTER_PX = 10
 LEGEND: dict[str, Color] = {
@@ -134,9 +142,7 @@ def _percent(confidence: float | None) -> str:
 
 
 def _color(estimate: PoseEstimate) -> Color:
-    if estimate.T_goal_current is None:
-        return _UNKNOWN if estimate.instance is None else _WITHHELD
-    return _SURE if estimate.confidence is None or estimate.confidence > SURE else _DOUBTFUL
+    return _COLORS[in_words(estimate)]
 
 
 def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:

@@ -61,7 +61,9 @@ class Perch(Plugin[PerchConfig], Explainer):
             return Candidate(T_goal_current, moved, render(surfaces[instance], T_goal_current, task.goal.camera, fine))
 
         candidates = {
-            instance: [place(instance, searcher.motion(model, h), h.moved) for h in searcher.search(model)]
+            instance: [
+                place(instance, searcher.motion(model, h), h.moved) for h in searcher.search(model, surfaces[instance])
+            ]
             for instance, model in models.items()
         }
         background = np.minimum(fine.background.ravel(), MOST_COST)

@@ -8,8 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from toolkit.geometry import invert, make_transform, rotation_z
-from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence, scaled
+from toolkit.geometry import invert, make_transform, project, rotation_z, transform_points
+from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
+from toolkit.perception.explainers.searching.renderings import Surface
 from toolkit.perception.explainers.searching.scores import Sample, score_motions
 from toolkit.perception.fusion import FusedModel
 from toolkit.perception.tabletop.table import Table
@@ -75,9 +76,9 @@ class Searcher:
         """(4, 4)."""
         return invert(self.camera.T_world_camera) @ self.table.T_world_table
 
-    def search(self, model: FusedModel) -> list[Hypothesis]:
-        """Hypotheses of an instance, that it was not moved first; the others by falling score."""
-        center = transform_to(self.table, model.center)
+    def search(self, model: FusedModel, surface: Surface) -> list[Hypothesis]:
+        """Hypotheses of an instance with this surface, that it was not moved first; the others by falling score."""
+        center = self._center(model)
         still = Hypothesis(0.0, np.zeros(2))
         radius = _radius(model)
         image = self._image(radius)
@@ -88,21 +89,25 @@ class Searcher:
             yaws = int(np.clip(np.pi * length / (_STEP * width), self.yaws, _MOST_YAWS))
             turns = np.arange(yaws) * 2 * np.pi / yaws
             yaw, place = np.repeat(turns, len(places)), np.tile(places, (yaws, 1))
-            scores = score_motions(self._sample(model, _POINTS), yaw, place, image, self.T_camera_table)
+            scores = score_motions(self._sample(model, surface, _POINTS), yaw, place, image, self.T_camera_table)
             by_yaw = scores.reshape(yaws, len(places))
             found += [
                 Hypothesis(float(turns[by_yaw[:, i].argmax()]), places[i, :2] - center[:2])
                 for i in self._peaks(places[:, :2], by_yaw.max(axis=0))
             ]
-        return [still, *self._polished(model, center, found)]
+        return [still, *self._polished(self._sample(model, surface, _FINE_POINTS), center, found)]
 
     def motion(self, model: FusedModel, hypothesis: Hypothesis) -> Float:
         """(4, 4) T_goal_current of a hypothesis, in world coordinates."""
-        center = transform_to(self.table, model.center)
+        center = self._center(model)
         R = rotation_z(hypothesis.turn)[:3, :3]
         planar = make_transform(R, center + np.append(hypothesis.shift, 0.0) - R @ center)
         T = self.table.T_world_table
         return T @ planar @ invert(T)
+
+    def _center(self, model: FusedModel) -> Float:
+        """(3,) the model's centre in the table's frame."""
+        return transform_points(invert(self.table.T_world_table), model.center)
 
     def _image(self, radius: float) -> Evidence:
         distance = float(np.linalg.norm(self.T_camera_table[:3, 3]))
@@ -121,30 +126,27 @@ class Searcher:
         plan = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         plan = plan[self.table.holds(plan)]
         places = np.column_stack([plan, np.full(len(plan), center[2])])
-        T, K = self.T_camera_table, image.K
-        camera = places @ T[:3, :3].T + T[:3, 3]
-        ahead = camera[:, 2] > 1e-2
-        places, camera = places[ahead], camera[ahead]
-        pixels = np.rint(camera[:, :2] / camera[:, 2:] * np.diagonal(K)[:2] + K[:2, 2]).astype(np.int64)
+        xy, depth = project(image.K, self.T_camera_table, places)
+        pixels = np.rint(np.nan_to_num(xy, nan=-1.0)).astype(np.int64)
         height, width = image.background.shape
         inside = (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
-        places, camera, pixels = places[inside], camera[inside], pixels[inside]
+        places, depth, pixels = places[inside], depth[inside], pixels[inside]
         if not len(places):
             return places
-        side = 2 * max(1, round(radius * K[0, 0] / float(np.median(camera[:, 2])))) + 1
+        side = 2 * max(1, round(radius * image.K[0, 0] / float(np.median(depth)))) + 1
         foreground = (image.background > MOST_COST / 3).astype(np.float32)
         around = cv2.blur(foreground, (side, side), borderType=cv2.BORDER_CONSTANT)
         return places[around[pixels[:, 1], pixels[:, 0]] > _FOREGROUND]
 
-    def _sample(self, model: FusedModel, count: int) -> Sample:
-        rows = np.random.default_rng(0).permutation(len(model.points))[:count]
-        R = self.table.T_world_table[:3, :3]
-        padding = count - len(rows)
+    def _sample(self, model: FusedModel, surface: Surface, count: int) -> Sample:
+        """The first points of a surface, which are in no order."""
+        R, points = self.table.T_world_table[:3, :3], surface.points[:count]
+        padding = count - len(points)
         arrays = (
-            (model.points[rows] - model.center) @ R,
-            model.normals_at(rows) @ R,
-            scaled(model.colors[rows]),
-            np.ones(len(rows)),
+            (points - model.center) @ R,
+            surface.normals[:count] @ R,
+            surface.colours[:count],
+            np.ones(len(points)),
         )
         return Sample(*(np.pad(a, ((0, padding), *[(0, 0)] * (a.ndim - 1))).astype(np.float32) for a in arrays))
 
@@ -158,9 +160,9 @@ class Searcher:
                 break
         return kept
 
-    def _polished(self, model: FusedModel, center: Float, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    def _polished(self, sample: Sample, center: Float, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Each moved step by step to where its score is greatest, all of them at once."""
-        sample, count = self._sample(model, _FINE_POINTS), len(hypotheses)
+        count = len(hypotheses)
         turns, shifts = np.array([h.turn for h in hypotheses]), np.array([h.shift for h in hypotheses])
         steps = np.stack(np.meshgrid(*[(0, -1, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         for metres, radians in _LEVELS:
@@ -174,12 +176,6 @@ class Searcher:
                 if not best.any():
                     break
         return [Hypothesis(float(turn), shift) for turn, shift in zip(turns, shifts, strict=True)]
-
-
-def transform_to(table: Table, point: Float) -> Float:
-    """(3,) a world point in the table's frame."""
-    T = table.T_world_table
-    return T[:3, :3].T @ (point - T[:3, 3])
 
 
 def _radius(model: FusedModel) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.geometry import invert
+from toolkit.geometry import invert, transform_points
 from toolkit.perception.explainers.searching.evidence import MOST_COST, UNSEEN_COST, Evidence, scaled
 from toolkit.perception.fusion import FusedModel
 from toolkit.types import Camera, Float
@@ -36,7 +36,7 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points of a model, to be drawn many times.
+    """Some points of a model, in no order, to be compared and drawn many times.
 
     Attributes:
         points: (N, 3) float32 metres, in the world of the current scene.
@@ -61,7 +61,7 @@ def surface_of(model: FusedModel) -> Surface:
 def render(surface: Surface, T_goal_current: Float, camera: Camera, goal: Evidence) -> Rendering:
     """Draw a surface as the goal camera would see it once it is moved; its points hide those behind them."""
     T = invert(camera.T_world_camera) @ T_goal_current
-    points = surface.points @ T[:3, :3].T + T[:3, 3]
+    points = transform_points(T, surface.points)
     normals = surface.normals @ T[:3, :3].T
     depth = points[:, 2]
     ahead = depth > 1e-2

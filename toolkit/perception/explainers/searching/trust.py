@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from toolkit.geometry import invert
+from toolkit.geometry import is_same_motion
 from toolkit.perception.explainers.searching.evidence import MOST_COST
 from toolkit.perception.explainers.searching.jointly import Candidate, Composition, change, compose
 from toolkit.perception.fusion import FusedModel
@@ -96,12 +96,9 @@ def _lead(
     """By how much the explanation would cost more without it, or with it elsewhere."""
     drawn: Composition = compose({i: c for i, c in chosen.items() if i != instance}, background)
     own = chosen[instance]
-    elsewhere = [change(drawn, c) for c in options if _is_elsewhere(c, own, model)]
+    elsewhere = [
+        change(drawn, c)
+        for c in options
+        if not is_same_motion(c.T_goal_current, own.T_goal_current, model.center, _ELSEWHERE_RAD, _ELSEWHERE_M)
+    ]
     return min([0.0, *elsewhere]) - change(drawn, own)
-
-
-def _is_elsewhere(candidate: Candidate, own: Candidate, model: FusedModel) -> bool:
-    between = invert(own.T_goal_current) @ candidate.T_goal_current
-    shift = float(np.linalg.norm(between[:3, :3] @ model.center + between[:3, 3] - model.center))
-    turn = float(np.arccos(((np.trace(between[:3, :3]) - 1) / 2).clip(-1, 1)))
-    return shift > _ELSEWHERE_M or turn > _ELSEWHERE_RAD
