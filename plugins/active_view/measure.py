@@ -52,8 +52,9 @@ class Scene:
         self.perceive = cache(self._perceive)
 
     def _perceive(self, views: frozenset[int]):
-        database = self.pipeline.build_database([self.capture.current[i] for i in sorted(views)])
-        return database, self.pipeline.estimate(database, self.capture.goal)
+        scene = self.pipeline.scene(self.pipeline.build_database([self.capture.current[i] for i in sorted(views)]))
+        estimates = scene.estimate(self.capture.goal)
+        return scene.database, estimates
 
     def right(self, views: frozenset[int]) -> int:
         """Objects right with these views."""

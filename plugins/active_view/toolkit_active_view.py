@@ -79,13 +79,13 @@ def look_actively(
     """
     order, frames = [first], [take(first)]
     while True:
-        database = pipeline.build_database(frames)
-        estimates = tuple(pipeline.estimate(database, goal))
+        scene = pipeline.scene(pipeline.build_database(frames))
+        estimates = tuple(scene.estimate(goal))
         left = [i for i in range(len(candidates)) if i not in order]
         sure = bool(estimates) and all(doubt(estimate) <= 1 - settings.sure for estimate in estimates)
         if sure or not left or len(order) >= settings.budget:
             return Looked(tuple(order), tuple(frames), estimates)
-        expected = gains(database, goal, estimates, [candidates[i] for i in left], settings)
+        expected = gains(scene.database, goal, estimates, [candidates[i] for i in left], settings)
         order.append(left[int(np.argmax(expected))])
         frames.append(take(order[-1]))
 

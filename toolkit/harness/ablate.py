@@ -107,10 +107,10 @@ class Ablation(RunKind[Row, CaptureTask]):
         with job.progress.step("Drawing the worst cases", len(worst)) as advance:
             for scene_id in dict.fromkeys(row.scene_id for row in worst):
                 capture = load_capture(open_capture(best.dataset, cache_root(), scene_id))
-                database = runner.pipeline.build_database(capture.current)
-                estimates = runner.pipeline.estimate(database, capture.goal)
+                scene = runner.pipeline.scene(runner.pipeline.build_database(capture.current))
+                estimates = scene.estimate(capture.goal)
                 for row in (row for row in worst if row.scene_id == scene_id):
-                    write_case(job.run / "pictures", capture, database, estimates, row)
+                    write_case(job.run / "pictures", capture, scene.database, estimates, row)
                     advance(1)
 
     def write_page(self, run: Path) -> Path:

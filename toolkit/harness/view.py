@@ -147,11 +147,11 @@ def _record(path: Path, name: str, capture: Capture, cell: Cell, cache: Cache | 
     require_ready([cell])
     pipeline = make_runner(cell, cache).pipeline
     try:
-        database = pipeline.build_database(capture.current)
-        estimates = pipeline.estimate(database, capture.goal)
-        goal = pipeline.stages.registration.locate(capture.goal, database.frames)
+        scene = pipeline.scene(pipeline.build_database(capture.current))
+        estimates = scene.estimate(capture.goal)
+        goal = pipeline.stages.registration.locate(capture.goal, scene.database.frames)
     except ToolkitError:
         raise
     except Exception as error:
         raise ToolkitError(f"{name}: the pipeline breaks with {type(error).__name__}: {error}") from error
-    record_scene(path, name, replace(capture, goal=goal), database, estimates)
+    record_scene(path, name, replace(capture, goal=goal), scene.database, estimates)

@@ -73,7 +73,10 @@ class Pipeline(Parts):
         return Scene(self, database)
 
     def estimate(self, database: Database, goal: Frame) -> list[PoseEstimate]:
-        """Pose estimation: one estimate for every object segmented in the goal image (`Scene.estimate`)."""
+        """Pose estimation: one estimate for every object segmented in the goal image (`Scene.estimate`).
+
+        An explainer may find instances to be one object; who needs the database as the goal shows it asks `scene`.
+        """
         return self.scene(database).estimate(goal)
 
     def _choose_views(self, frames: Sequence[Frame]) -> list[Frame]:

@@ -70,8 +70,8 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
     Raises:
         ToolkitError: a stage refuses its input.
     """
-    database = pipeline.build_database(frames)
-    estimates = tuple(pipeline.estimate(database, goal))
+    scene = pipeline.scene(pipeline.build_database(frames))
+    estimates = tuple(scene.estimate(goal))
     failures = {e.goal_object: e.failure for e in estimates if e.failure is not None}
     claims: dict[int, PoseEstimate] = {}
     for estimate in sorted(estimates, key=_sureness, reverse=True):
@@ -83,8 +83,7 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
             failures[estimate.goal_object] = Failure("retriever", reason)
         else:
             claims[estimate.instance] = estimate
-    count = int(database.instances.max()) + 1 if len(database) else 0
-    clouds = {instance: _cloud(database, instance) for instance in range(count)}
+    clouds = {i: _cloud(scene.database, i) for i in np.unique(scene.database.instances).tolist()}
     items = tuple(_item(instance, cloud, claims.get(instance), settings) for instance, cloud in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
     return Sight(layout, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)

@@ -1,0 +1,28 @@
+"""What a planner is shown of the table, by one look at it."""
+
+from __future__ import annotations
+
+import numpy as np
+from usual import usual_stages
+
+from toolkit.perception.explanation import Explanation, Placement
+from toolkit.perception.pipeline import Pipeline
+from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, segments_of
+from toolkit.rearrangement.sight import SightSettings, look
+from toolkit.stages import Explainer
+
+
+class Joining(Explainer):
+    """Finds that instances 1 and 0 are one object, which was not moved."""
+
+    def explain(self, task):
+        segment, *_ = segments_of(task.goal)
+        return Explanation((Placement(1, np.eye(4), segment, 1.0),), (), joined=((1, 0),))
+
+
+def test_pieces_that_are_one_object_are_planned_as_one():
+    apart = look(Pipeline(usual_stages()), current_frames(), goal_frame(), SightSettings())
+    as_one = look(Pipeline(usual_stages(explainer=Joining())), current_frames(), goal_frame(), SightSettings())
+    assert set(as_one.clouds) == set(apart.clouds) - {0}
+    assert {item.object for item in as_one.layout.items} == set(as_one.clouds)
+    assert len(as_one.clouds[1]) > max(len(apart.clouds[0]), len(apart.clouds[1]))
