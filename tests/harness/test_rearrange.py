@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from functools import partial
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -176,7 +178,7 @@ class KnownPipeline:
     """Perception that knows the truth, and is off by what `errors` says of every look."""
 
     def __init__(self, scene, executor, errors=EXACT):
-        self.scene, self.executor, self.errors, self.looks = scene, executor, errors, 0
+        self.known, self.executor, self.errors, self.looks = scene, executor, errors, 0
 
     def build_database(self, frames):
         regions, instances = [], []
@@ -186,12 +188,15 @@ class KnownPipeline:
                 instances.append(number)
         return Database(tuple(frames), tuple(regions), np.array(instances), np.zeros((len(regions), 1)))
 
+    def scene(self, database):
+        return SimpleNamespace(database=database, estimate=partial(self.estimate, database))
+
     def estimate(self, database, goal):
         error = self.errors[min(self.looks, len(self.errors) - 1)]
         self.looks += 1
         estimates = []
         for position, number in enumerate(goal.true_masks):
-            T = error @ self.scene.goal[number] @ invert(self.executor.state()[number])
+            T = error @ self.known.goal[number] @ invert(self.executor.state()[number])
             estimates.append(PoseEstimate(position, Segment(goal.true_masks[number]), number, T, confidence=0.9))
         return estimates
 

@@ -1,5 +1,7 @@
 """Objects of which one side has been seen: the view that shows the other is worth most, unless something hides it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from toolkit_active_view import ActiveViewConfig, doubt, gains, look_actively, shown, visible_share
@@ -152,9 +154,11 @@ class KnownPipeline:
     def build_database(self, frames):
         return database([self.points], [frame.index for frame in frames])
 
-    def estimate(self, database, goal):
-        behind = any(region.frame_index in (3, 4, 5) for region in database.regions)
-        return [estimate(0, self.points, 0.95 if behind else 0.3, 0)]
+    def scene(self, seen):
+        behind = any(region.frame_index in (3, 4, 5) for region in seen.regions)
+        return SimpleNamespace(
+            database=seen, estimate=lambda goal: [estimate(0, self.points, 0.95 if behind else 0.3, 0)]
+        )
 
 
 def test_looking_ends_when_all_is_sure_or_the_budget_is_spent():
