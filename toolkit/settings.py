@@ -52,7 +52,7 @@ def read_settings(path: Path, what: str, parts: str) -> dict[str, Any]:
 
 
 def parse_set(option: str) -> tuple[str, list[Any]]:
-    """Split `path.to.key=v1,v2` into the path and its YAML values.
+    """Split `path.to.key=v1,v2` into the path and its YAML values; a value that is a list stands in brackets.
 
     Raises:
         ToolkitError: there is no `=`, or a value is not YAML.
@@ -61,7 +61,7 @@ def parse_set(option: str) -> tuple[str, list[Any]]:
     if not separator or not path or not text:
         raise ToolkitError(f"--set takes path.to.key=value[,value], got '{option}'")
     try:
-        return path, [yaml.safe_load(value) for value in text.split(",")]
+        return path, list(yaml.safe_load(f"[{text}]"))
     except yaml.YAMLError as error:
         raise ToolkitError(f"--set {path}: '{text}' is not a list of YAML values") from error
 

@@ -140,7 +140,7 @@ def measure_depth(
         depth = sensor.quantize(depth)
     if "dropout" in effects and kind == "d435":
         depth = noise.dropout(depth, rng)
-    return np.where(lost | (depth > _FARTHEST_M), 0, depth).astype(np.float32)
+    return np.where(lost | (depth <= 0) | (depth > _FARTHEST_M), 0, depth).astype(np.float32)
 
 
 def mixed_edges(depth: Float, sensor: DepthSensor, rng: np.random.Generator) -> Float:
