@@ -116,6 +116,21 @@ def fuse(database: Database, instance: int) -> FusedModel | Failure:
     return _off_the_table(FusedModel(merged[kept], tints[kept], seen_by[kept], patches, score))
 
 
+def united(models: Sequence[FusedModel]) -> FusedModel:
+    """Several models as one object."""
+    counts = [len(model.patches) for model in models]
+    seen_by = [
+        np.pad(model.seen_by, ((0, 0), (sum(counts[:k]), sum(counts[k + 1 :])))) for k, model in enumerate(models)
+    ]
+    return FusedModel(
+        np.concatenate([model.points for model in models]),
+        np.concatenate([model.colors for model in models]),
+        np.concatenate(seen_by),
+        tuple(patch for model in models for patch in model.patches),
+        min(model.score for model in models),
+    )
+
+
 class Models:
     """The fused models of a database, made when first asked for."""
 

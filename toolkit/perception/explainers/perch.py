@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
 import numpy as np
 from pydantic import Field
 
-from toolkit.perception.explainers.searching.evidence import MOST_COST, evidence
+from toolkit.perception.explainers.searching.evidence import MOST_COST, evidence, with_known
 from toolkit.perception.explainers.searching.hypotheses import Searcher
 from toolkit.perception.explainers.searching.jointly import Candidate, compose, explain_jointly
-from toolkit.perception.explainers.searching.renderings import render, surface_of
+from toolkit.perception.explainers.searching.renderings import Surface, render, surface_of
 from toolkit.perception.explainers.searching.segments import object_masks, unexplained
-from toolkit.perception.explainers.searching.together import joined, moved_together, owners
+from toolkit.perception.explainers.searching.together import moved_together, owners
 from toolkit.perception.explainers.searching.trust import judge, trust
 from toolkit.perception.explanation import ExplainTask, Explanation, Placement
+from toolkit.perception.fusion import FusedModel, united
 from toolkit.perception.stages import Explainer
 from toolkit.perception.tabletop.appearance import render_table, scan_table
 from toolkit.perception.tabletop.difference import difference
@@ -30,6 +34,9 @@ class PerchConfig(PluginConfig):
     step_mm: float = Field(25.0, gt=0, description="Distance between the places on the table that are tried.")
     yaws: int = Field(24, ge=1, description="Turns about the vertical that are tried at every place.")
     kept: int = Field(12, ge=1, description="Places of an object that compete, besides the one where it stands now.")
+    rounds: int = Field(
+        2, ge=1, description="How often every object is looked for, each time in what the others leave over."
+    )
     min_pixels: int = Field(60, ge=1, description="Objects of which the goal shows fewer pixels are left out.")
 
 
@@ -60,16 +67,27 @@ class Perch(Plugin[PerchConfig], Explainer):
         def place(instance: int, T_goal_current: Float, moved: bool = True) -> Candidate:
             return Candidate(T_goal_current, moved, render(surfaces[instance], T_goal_current, task.goal.camera, fine))
 
-        candidates = {
-            instance: [
-                place(instance, searcher.motion(model, h), h.moved) for h in searcher.search(model, surfaces[instance])
-            ]
-            for instance, model in models.items()
-        }
+        def searched(model: FusedModel, surface: Surface, others: Mapping[int, Candidate]) -> list[tuple[Float, bool]]:
+            known = compose(others, background)
+            images = [image.reshape(fine.background.shape) for image in (known.cost, known.depth)]
+            there = replace(searcher, coarse=with_known(coarse, *images), fine=with_known(fine, *images))
+            return [(there.motion(model, h), h.moved) for h in there.search(model, surface)]
+
+        def as_one(instances: Collection[int], others: Mapping[int, Candidate]) -> list[Float]:
+            model = united([models[i] for i in sorted(instances)])
+            return [T for T, moved in searched(model, surface_of(model), others) if moved]
+
         background = np.minimum(fine.background.ravel(), MOST_COST)
-        chosen = explain_jointly(candidates, background)
-        groups = moved_together(chosen, models, background, place)
-        chosen = joined(chosen, groups, place)
+        candidates: dict[int, list[Candidate]] = {instance: [] for instance in models}
+        chosen: dict[int, Candidate] = {}
+        for _ in range(self.config.rounds):
+            for instance, model in models.items():
+                others = {i: c for i, c in chosen.items() if i != instance}
+                candidates[instance] += [
+                    place(instance, *found) for found in searched(model, surfaces[instance], others)
+                ]
+            chosen = explain_jointly(candidates, background, chosen)
+        groups, chosen = moved_together(chosen, models, background, place, as_one)
         owner = owners(compose(chosen, background).owner, groups).reshape(fine.background.shape)
         masks = object_masks(owner, factor, task.goal.rgb, found.score > _FOREGROUND)
         masks = {instance: mask for instance, mask in masks.items() if mask.sum() >= self.config.min_pixels}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import cv2
@@ -21,9 +22,10 @@ _CRUMB_M2, _CRUMB_SHARE = 3e-4, 0.04
 _ALIKE, _WITHIN, _COMPACT = 0.45, 0.6, 1.25
 """Pieces that do not touch are one object if their histograms intersect this much and one lies within the other."""
 
-_WEIGHTS, _BIAS = np.array([-0.6, 3.5, 7.2, 3.7]), 2.35
+_WEIGHTS, _BIAS = np.array([-0.56, 3.91, 4.51, 0.19, 3.89]), 0.78
 """Logistic regression (experiments/benchmarks/joins.py) on what `borders` tells."""
 
+_MOST_CONTACT = 3.0
 _STANDS_M = 0.04
 """A piece whose lowest point is higher than this stands on another, or is part of it."""
 
@@ -39,6 +41,11 @@ class _Piece:
     histogram: Float
     area: float
     points: Float
+
+    @cached_property
+    def raised(self) -> bool:
+        """Whether it is too high above the table to stand on it."""
+        return float(self.points[:, 2].min()) > _STANDS_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +83,7 @@ def join_pieces(pieces: Pieces) -> tuple[NDArray[np.int64], Float]:
         return pieces.of_voxel, np.zeros(0)
     known = _make(pieces, count)
     borders = _gaps(known) | {
-        pair: (length, length * float(features @ _WEIGHTS + _BIAS))
+        pair: (length, length * float(features[:-1] @ _WEIGHTS[:-1] + _BIAS))
         for pair, (length, features) in _borders(known, pieces).items()
     }
     owner = np.arange(count)
@@ -101,7 +108,7 @@ def join_pieces(pieces: Pieces) -> tuple[NDArray[np.int64], Float]:
     names, objects = np.unique(owner, return_inverse=True)
     part = np.zeros(count)
     for (i, j), (length, evidence) in borders.items():
-        likely = _likely(length, evidence) if length else 0.0
+        likely = _likely(known[i], known[j], (length, evidence)) if length else 0.0
         for one, other in ((i, j), (j, i)):
             part[one] = max(part[one], likely * min(known[other].area / known[one].area, 1.0))
     return np.where(pieces.of_voxel >= 0, objects[pieces.of_voxel], -1), 1 - part[names]
@@ -110,8 +117,9 @@ def join_pieces(pieces: Pieces) -> tuple[NDArray[np.int64], Float]:
 def borders(pieces: Pieces) -> dict[tuple[int, int], tuple[int, Float]]:
     """By pair of pieces that touch: how many voxels meet there, and what says whether they are one object.
 
-    That is (4,) the mean angle along the border in tens of degrees, how much the colour histograms intersect, the share
-    of the smaller piece inside the larger one's outline, and 1 if one of them is too high above the table to stand.
+    That is (5,) the mean angle along the border in tens of degrees, how much the colour histograms intersect, the share
+    of the smaller piece inside the larger one's outline, how long the border is for the size of the smaller piece, and
+    1 if one of them is too high above the table to stand.
     """
     return _borders(_make(pieces, int(pieces.of_voxel.max(initial=-1)) + 1), pieces)
 
@@ -154,28 +162,29 @@ def _borders(known: list[_Piece], pieces: Pieces) -> dict[tuple[int, int], tuple
     found: dict[tuple[int, int], tuple[int, Float]] = {}
     for key, length, angle in zip(keys.tolist(), lengths.tolist(), means.tolist(), strict=True):
         one, other = known[key // count], known[key % count]
-        raised = max(float(piece.points[:, 2].min()) for piece in (one, other)) > _STANDS_M
-        within = _within(*_by_size(one, other))
-        found[divmod(key, count)] = (length, np.array([angle / 10, _alike(one, other), within, float(raised)]))
+        contact = min(length * pieces.cell / np.sqrt(min(one.area, other.area)), _MOST_CONTACT)
+        parts = [angle / 10, _alike(one, other), _within(*_by_size(one, other)), contact]
+        found[divmod(key, count)] = (length, np.array([*parts, float(one.raised or other.raised)]))
     return found
 
 
 def _gain(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
     """How much speaks for one object; 0 where nothing does."""
-    length, evidence = border
+    length = border[0]
     if not length:
         alike = _alike(a, b)
         return alike if alike > _ALIKE and _within(*_by_size(a, b)) > _WITHIN else 0.0
     small, large = sorted((a.area, b.area))
     if small < _CRUMB_M2 or small < _CRUMB_SHARE * large:
         return 2 + length / (1 + length)
-    likely = _likely(length, evidence)
+    likely = _likely(a, b, border)
     return likely if likely > _LIKELY else 0.0
 
 
-def _likely(length: int, evidence: float) -> float:
-    """Probability that two pieces are one object."""
-    return float(1 / (1 + np.exp(-evidence / length)))
+def _likely(a: _Piece, b: _Piece, border: tuple[int, float]) -> float:
+    """Probability that two pieces that touch are one object; one that cannot stand needs another, but only one."""
+    length, evidence = border
+    return float(1 / (1 + np.exp(-evidence / length - _WEIGHTS[-1] * (a.raised or b.raised))))
 
 
 def _alike(a: _Piece, b: _Piece) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,12 +37,14 @@ class Evidence:
     Attributes:
         colours: (H, W, 3) float32, in deviations (`scaled`).
         background: (H, W) float32 cost of the empty table, and of what is beyond, as explanation of each pixel.
+        depth: (H, W) float32 metres of what is known to stand there, inf where nothing is.
         K: (3, 3) intrinsics at this scale.
         factor: pixels of the goal image to a pixel here.
     """
 
     colours: Float
     background: Float
+    depth: Float
     K: Float
     factor: int
 
@@ -71,8 +73,20 @@ def evidence(goal: Frame, found: Difference, surface: Mask, factor: int) -> Evid
     cost = np.where(surface, cost, _BEYOND_COST).astype(np.float32)
     background = cv2.resize(cost, size, interpolation=cv2.INTER_AREA)
     return Evidence(
-        np.asarray(colours, np.float32), np.asarray(background, np.float32), _scaled_K(goal.camera, factor), factor
+        colours=np.asarray(colours, np.float32),
+        background=np.asarray(background, np.float32),
+        depth=np.full(background.shape, np.inf, np.float32),
+        K=_scaled_K(goal.camera, factor),
+        factor=factor,
     )
+
+
+def with_known(goal: Evidence, cost: Float, depth: Float) -> Evidence:
+    """The image once some of what it shows is known: (h, w) cost of every pixel, and metres to what stands there."""
+    height, width = goal.background.shape
+    smaller = cv2.resize(cost.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    nearest = cv2.resize(depth.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+    return replace(goal, background=np.asarray(smaller, np.float32), depth=np.asarray(nearest, np.float32))
 
 
 def _scaled_K(camera: Camera, factor: int) -> Float:

@@ -69,17 +69,20 @@ def compose(chosen: Mapping[int, Candidate], background: Float) -> Composition:
     return Composition(depth, cost, owner)
 
 
-def explain_jointly(candidates: Mapping[int, Sequence[Candidate]], background: Float) -> dict[int, Candidate]:
+def explain_jointly(
+    candidates: Mapping[int, Sequence[Candidate]], background: Float, start: Mapping[int, Candidate]
+) -> dict[int, Candidate]:
     """Choose for every instance one of its candidates or none.
 
     Args:
         candidates: by instance.
         background: (P,) cost of the image without any of them.
+        start: those chosen beforehand, each to be tried against the others.
 
     Returns:
         By instance, those that are there; together they explain the image at a cost that no change of one lowers.
     """
-    chosen: dict[int, Candidate] = {}
+    chosen = _settled(dict(start), candidates, background)
     while True:
         drawn = compose(chosen, background)
         changes = [
@@ -100,6 +103,11 @@ def change(drawn: Composition, candidate: Candidate) -> float:
     r = candidate.rendering
     nearest = r.depth < drawn.depth[r.pixels]
     return float((candidate.cost[nearest] - drawn.cost[r.pixels[nearest]]).sum()) + _LEAST_PX
+
+
+def total_cost(chosen: Mapping[int, Candidate], background: Float) -> float:
+    """What the image costs with the chosen candidates in it."""
+    return float(compose(chosen, background).cost.sum()) + _LEAST_PX * len(chosen)
 
 
 def _settled(

@@ -37,8 +37,8 @@ class Sample(NamedTuple):
 def score_motions(sample: Sample, turns: Float, places: Float, goal: Evidence, T_camera_table: Float) -> Float:
     """Score yaws and places of a model's centre.
 
-    A point counts by how much better the model explains its pixel than the empty table does; what faces away or lies
-    outside the image counts nothing.
+    A point counts by how much better the model explains its pixel than what is known to be there; what faces away, is
+    hidden or lies outside the image counts nothing.
 
     Args:
         sample: the model.
@@ -55,7 +55,9 @@ def score_motions(sample: Sample, turns: Float, places: Float, goal: Evidence, T
     yaw = np.pad(turns, (0, padding)).astype(np.float32).reshape(-1, _BATCH)
     place = np.pad(places, ((0, padding), (0, 0)), mode="edge").astype(np.float32).reshape(-1, _BATCH, 3)
     arrays = [jnp.asarray(array) for array in sample]
-    image = [jnp.asarray(array, jnp.float32) for array in (goal.colours, goal.background, goal.K, T_camera_table)]
+    image = [
+        jnp.asarray(array, jnp.float32) for array in (goal.colours, goal.background, goal.depth, goal.K, T_camera_table)
+    ]
     scores = [_score(*arrays, jnp.asarray(y), jnp.asarray(p), *image) for y, p in zip(yaw, place, strict=True)]
     return np.concatenate([np.asarray(s) for s in scores])[:count]
 
@@ -70,13 +72,14 @@ def _score(
     place: jax.Array,
     image: jax.Array,
     background: jax.Array,
+    nearest: jax.Array,
     K: jax.Array,
     T: jax.Array,
 ) -> jax.Array:
     height, width = background.shape
-    flat, cost = image.reshape(-1, 3), background.ravel()
+    flat = image.reshape(-1, 3), background.ravel(), nearest.ravel()
     eye = -T[:3, :3].T @ T[:3, 3]
-    one = partial(_gain, points, normals, colours, weights, flat, cost, (height, width), K, T, eye)
+    one = partial(_gain, points, normals, colours, weights, *flat, (height, width), K, T, eye)
     return jax.vmap(one)(yaw, place)
 
 
@@ -87,6 +90,7 @@ def _gain(
     weights: jax.Array,
     image: jax.Array,
     background: jax.Array,
+    nearest: jax.Array,
     size: tuple[int, int],
     K: jax.Array,
     T: jax.Array,
@@ -109,4 +113,5 @@ def _gain(
     index = jnp.where(inside, row * size[1] + column, 0)
     gap = image[index] - colours
     own = jnp.minimum((gap * gap).sum(axis=1), MOST_COST)
-    return (weights * (inside & front) * (background[index] - own)).sum() / weights.sum()
+    shown = inside & front & (depth < nearest[index])
+    return (weights * shown * (background[index] - own)).sum() / weights.sum()
