@@ -41,13 +41,11 @@ def moved_together(
     by_size = sorted(models, key=lambda i: -len(models[i].points))
     for large, small in combinations(by_size, 2):
         whole = group[large] | group[small]
-        if small in group[large] or not whole & set(now) or not are_close(models[large].points, models[small].points):
+        moved = [now[i].T_goal_current for i in whole if i in now and now[i].moved]
+        if small in group[large] or not moved or not are_close(models[large].points, models[small].points):
             continue
         rest = {i: c for i, c in now.items() if i not in whole}
-        motions = [*search(whole, rest), *(now[i].T_goal_current for i in whole if i in now and now[i].moved)]
-        together = [rest | {i: place(i, T) for i in whole} for T in motions]
-        if not together:
-            continue
+        together = [rest | {i: place(i, T) for i in whole} for T in (*moved, *search(whole, rest))]
         best = min(together, key=lambda placed: total_cost(placed, background))
         spared = _AS_GOOD * sum(len(best[i].rendering.pixels) for i in group[small]) * (small in now)
         if total_cost(best, background) < total_cost(now, background) + spared:
