@@ -39,6 +39,13 @@ def implementations_of(slot: str) -> Callable[[str], list[str]]:
     return names
 
 
+def import_kinds(incomplete: str) -> list[str]:
+    """Kinds of recordings that captures are made of."""
+    from toolkit.data.importing import IMPORTERS
+
+    return _that_begin(IMPORTERS.names(), incomplete)
+
+
 def _implementations(stage: str, incomplete: str) -> list[str]:
     from toolkit.stages import REGISTRIES
 

@@ -155,17 +155,30 @@ class ModelEntry(Entry):
     )
 
 
-def read_cameras(path: Path) -> dict[int, CameraEntry]:
+def read_cameras(path: Path, worlds: Mapping[int, TrueEntry] | None = None) -> dict[int, CameraEntry]:
     """Read scene_camera.json: image id -> camera, by rising id.
+
+    Args:
+        path: the file.
+        worlds: by image, the object whose coordinates are the world, in place of what the file says; images without it
+            are left out.
 
     Raises:
         ToolkitError: it is missing or damaged, lists no image, or an entry is not as `CameraEntry`; the sentence names
             file, image and key, and what belongs there.
     """
     entries = _by_id(path, "image")
+    if worlds is not None:
+        entries = {image: _in_world(entries[image], worlds[image]) for image in entries if image in worlds}
     if not entries:
         raise ToolkitError(f"'{path}' lists no image; it needs an entry for every image, such as \"0\": {{...}}")
     return {number: _checked(CameraEntry, value, path, f"image {number}") for number, value in entries.items()}
+
+
+def _in_world(entry: Any, world: TrueEntry) -> Any:
+    if not isinstance(entry, Mapping) or world.cam_R_m2c is None or world.cam_t_m2c is None:
+        return entry
+    return {**entry, "cam_R_w2c": list(world.cam_R_m2c), "cam_t_w2c": list(world.cam_t_m2c)}
 
 
 def read_truth(path: Path, images: Iterable[int]) -> dict[int, list[TrueEntry]]:
