@@ -62,6 +62,8 @@ class RealSense(Plugin[RealSenseConfig], Importer):
                 for stamp, (stream, frames) in _pairs(source, config.tolerance)
                 if stamp in wanted
             }
+            if len(seen) < len(wanted):
+                raise ToolkitError(f"'{source}' did not play all its frames again; try once more, with less going on")
             found = [(shot, seen[stamps[shot.index]]) for shot in chosen]
             return [pinhole_frame(shot, p.rgb, p.depth, p.K, p.distortion) for shot, p in found]
 

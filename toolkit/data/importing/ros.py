@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from toolkit.data.importing.folders import TIMES
 from toolkit.data.importing.recording import Importer, Recording, Shot, library, pinhole_frame
-from toolkit.data.importing.ros_messages import depth_of, lens_of, pose_of, rgb_of, seconds
+from toolkit.data.importing.ros_messages import depth_of, lens_of, rgb_of, seconds, stamped_pose
 from toolkit.data.importing.ros_tf import Pose, Tree
 from toolkit.data.importing.settings import HandEye, pose
 from toolkit.data.importing.trajectory import Trajectory, nearest
 from toolkit.errors import ToolkitError, suggest
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.types import Float, Frame
+from toolkit.types import Frame
+
+Array = TypeVar("Array")
 
 _TF = ("/tf", "/tf_static")
 
@@ -59,36 +62,39 @@ class Ros(Plugin[RosConfig], Importer):
                 "colour camera sits on it (0 0 0 0 0 0 1 where it speaks of the camera itself, in OpenCV's axes)"
             )
         T_body_camera = np.eye(4) if config.hand_eye is None else pose(config.hand_eye, "hand_eye")
-        infos = [message for _, _, message in bag.messages([config.info])]
-        if not infos:
-            raise ToolkitError(f"the topic {config.info} has no message")
-        colors = [(seconds(m.header.stamp), m.header.frame_id, at) for _, at, m in bag.messages([config.color])]
-        depths = sorted((seconds(m.header.stamp), at) for _, at, m in bag.messages([config.depth]))
-        if not colors:
-            raise ToolkitError(f"the topic {config.color} has no message")
-        bodies = _bodies(bag, config, sorted({frame for _, frame, _ in colors}))
+        found = bag.gather(
+            {
+                config.info: lambda message: message,
+                config.color: lambda message: (seconds(message.header.stamp), message.header.frame_id),
+                config.depth: lambda message: seconds(message.header.stamp),
+                **({} if config.pose is None else {config.pose: stamped_pose}),
+            },
+            {name: lambda message: message for name in _TF if config.pose is None},
+        )
+        bodies = _bodies(found, config)
+        depths = sorted((stamp, at) for at, stamp in found[config.depth])
         stamps = [stamp for stamp, _ in depths]
         shots: list[Shot] = []
         times: dict[int, tuple[int, int | None]] = {}
-        for index, (stamp, frame, at) in enumerate(colors):
-            body = bodies[frame](stamp)
-            near = nearest(stamps, stamp, config.tolerance)
+        for index, (at, (stamp, frame)) in enumerate(found[config.color]):
+            body, near = bodies[frame](stamp), nearest(stamps, stamp, config.tolerance)
             if body is not None:
                 shots.append(Shot(index, f"{stamp:.6f}", body @ T_body_camera, near is not None))
                 times[index] = (at, None if near is None else depths[near][1])
-        left = len(colors) - len(shots)
+        left = len(found[config.color]) - len(shots)
         if not shots:
             raise ToolkitError(
                 f"no image has a pose within {config.tolerance:g} s; are poses and images stamped by one clock?"
             )
-        K, distortion = lens_of(infos[0], config.rectified)
+        K, distortion = lens_of(found[config.info][0][1], config.rectified)
 
         def load(chosen: Sequence[Shot]) -> list[Frame]:
-            rgb = {at: rgb_of(m) for at, m in bag.at(config.color, [times[s.index][0] for s in chosen])}
-            wanted = [at for shot in chosen if (at := times[shot.index][1]) is not None]
-            depth: dict[int | None, Float] = {at: depth_of(m) for at, m in bag.at(config.depth, wanted)}
+            wanted = [times[shot.index] for shot in chosen]
+            rgb = bag.pick(config.color, rgb_of, [at for at, _ in wanted])
+            depth = bag.pick(config.depth, depth_of, [at for _, at in wanted if at is not None])
             return [
-                pinhole_frame(s, rgb[times[s.index][0]], depth.get(times[s.index][1]), K, distortion) for s in chosen
+                pinhole_frame(shot, rgb[at], None if near is None else depth[near], K, distortion)
+                for shot, (at, near) in zip(chosen, wanted, strict=True)
             ]
 
         notes = (f"{left} images have no pose within {config.tolerance:g} s: left out",) if left else ()
@@ -101,46 +107,55 @@ class _Bag:
     def __init__(self, source: Path) -> None:
         self._source = source
         self._rosbags = library("rosbags.highlevel", "ros", "the import kind 'ros'")
-        self._stores = library("rosbags.typesys", "ros", "the import kind 'ros'")
+        stores = library("rosbags.typesys", "ros", "the import kind 'ros'")
+        self._store = stores.get_typestore(stores.Stores.LATEST)
 
-    def messages(self, topics: Sequence[str], *, needed: bool = True) -> Iterator[tuple[str, int, Any]]:
-        """(topic, time of recording in nanoseconds, message) of topics; raises ToolkitError where one is unknown."""
-        yield from self._read(topics, None, None, needed)
+    def gather(
+        self, needed: Mapping[str, Callable[[Any], Any]], others: Mapping[str, Callable[[Any], Any]]
+    ) -> dict[str, list[tuple[int, Any]]]:
+        """By topic, when each message was recorded (nanoseconds), and what a function has of it.
 
-    def at(self, topic: str, times: Sequence[int]) -> Iterator[tuple[int, Any]]:
-        """(time, message) of those messages of a topic that were recorded at these times."""
-        for time in sorted(set(times)):
-            for _, at, message in self._read([topic], time, time + 1, True):
-                yield at, message
+        Raises:
+            ToolkitError: of the needed topics one is unknown, or has no message.
+        """
+        topics = {**needed, **others}
+        found: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in topics}
+        with self._open() as reader:
+            for topic in needed:
+                if topic not in reader.topics or not reader.topics[topic].msgcount:
+                    known = suggest(topic, [name for name, info in reader.topics.items() if info.msgcount])
+                    raise ToolkitError(f"'{self._source}' has nothing of the topic {topic}{known}")
+            connections = [c for c in reader.connections if c.topic in topics]
+            for connection, at, data in reader.messages(connections):
+                message = reader.deserialize(data, connection.msgtype)
+                found[connection.topic].append((at, topics[connection.topic](message)))
+        return found
 
-    def _read(
-        self, topics: Sequence[str], start: int | None, stop: int | None, needed: bool
-    ) -> Iterator[tuple[str, int, Any]]:
-        store = self._stores.get_typestore(self._stores.Stores.LATEST)
+    def pick(self, topic: str, decode: Callable[[Any], Array], times: Sequence[int]) -> dict[int, Array]:
+        """By time of recording, some messages of a topic."""
+        found: dict[int, Array] = {}
+        with self._open() as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            for time in times:
+                for connection, at, data in reader.messages(connections, start=time, stop=time + 1):
+                    found[at] = decode(reader.deserialize(data, connection.msgtype))
+        return found
+
+    @contextmanager
+    def _open(self) -> Generator[Any]:
         try:
-            with self._rosbags.AnyReader([self._source], default_typestore=store) as reader:
-                for topic in topics if needed else ():
-                    if topic not in reader.topics:
-                        raise ToolkitError(
-                            f"'{self._source}' has no topic {topic}{suggest(topic, list(reader.topics))}"
-                        )
-                connections = [c for c in reader.connections if c.topic in topics]
-                if not connections:
-                    return
-                for connection, at, data in reader.messages(connections, start=start, stop=stop):
-                    yield connection.topic, at, reader.deserialize(data, connection.msgtype)
+            with self._rosbags.AnyReader([self._source], default_typestore=self._store) as reader:
+                yield reader
         except (self._rosbags.AnyReaderError, OSError, ValueError, KeyError) as error:
             said = " ".join(str(error).split())
             raise ToolkitError(f"'{self._source}' is no recording of ROS that can be read: {said}") from error
 
 
-def _bodies(bag: _Bag, config: RosConfig, frames: Sequence[str]) -> dict[str, Pose]:
+def _bodies(found: Mapping[str, list[tuple[int, Any]]], config: RosConfig) -> dict[str, Pose]:
     """By frame that colour images are stamped with: the body's pose in the world at a time."""
+    frames = sorted({frame for _, (_, frame) in found[config.color]})
     if config.pose is not None:
-        found = [(seconds(m.header.stamp), pose_of(m)) for _, _, m in bag.messages([config.pose])]
-        if not found:
-            raise ToolkitError(f"the topic {config.pose} has no message")
-        trajectory = Trajectory(*zip(*found, strict=True))
+        trajectory = Trajectory(*zip(*(stamped for _, stamped in found[config.pose]), strict=True))
         return dict.fromkeys(frames, lambda stamp: trajectory.at(stamp, config.tolerance))
-    tree = Tree((topic == _TF[1], message) for topic, _, message in bag.messages(_TF, needed=False))
+    tree = Tree((topic == _TF[1], message) for topic in _TF for _, message in found[topic])
     return {frame: tree.pose(config.world, config.camera or frame, config.tolerance) for frame in frames}

@@ -110,6 +110,11 @@ def pose_of(message: Any) -> Float:
     return pose((at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w), "a pose of the recording")
 
 
+def stamped_pose(message: Any) -> tuple[float, Float]:
+    """When a message says that something was where, in seconds, and `pose_of` it."""
+    return seconds(message.header.stamp), pose_of(message)
+
+
 def _rows(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
     """(H, W, channels) of an image whose rows may be padded."""
     data = np.frombuffer(np.ascontiguousarray(message.data), np.uint8)

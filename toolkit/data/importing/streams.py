@@ -53,11 +53,13 @@ class Stream:
         self._models = rs.distortion
         self._pipeline = rs.pipeline()
         try:
-            device = self._pipeline.start(config).get_device()
+            device = config.resolve(rs.pipeline_wrapper(self._pipeline)).get_device()
+            if device.is_playback():
+                # Before it starts: what plays in real time skips frames that nobody waits for.
+                device.as_playback().set_real_time(False)
+            self._pipeline.start(config)
         except RuntimeError as error:
             raise ToolkitError(f"{what} cannot be opened: {error}") from error
-        if device.is_playback():
-            device.as_playback().set_real_time(False)
 
     @classmethod
     def of_file(cls, path: Path) -> Stream:
