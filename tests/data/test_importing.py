@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from written import edit, small_capture
 
+import toolkit
 from toolkit.data.bop import load_capture
 from toolkit.data.importing import IMPORTERS
 from toolkit.data.importing.choosing import Frames, find, spread
@@ -26,7 +27,7 @@ from toolkit.data.importing.writing import Goal, import_capture
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, rotation_z
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, K
-from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame
+from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, true_motion
 
 INTRINSICS = f"{K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}"
 FRAMES = (*current_frames(), goal_frame())
@@ -642,3 +643,16 @@ def test_a_library_that_is_missing_is_named_with_its_extra(kind, module, tmp_pat
     settings = {"colmap": {"scale": 1.0}, "ros": {}, "realsense": {"poses": str(tmp_path / "poses.txt")}}[kind]
     with pytest.raises(ToolkitError, match=rf"needs {module}: pip install 'rearrange-toolkit\[{kind}\]'"):
         IMPORTERS.create(kind, settings).read(tmp_path / "file")
+
+
+def test_an_imported_capture_gives_the_motions_of_the_original(tum, tmp_path):
+    """From a folder of the TUM benchmark's layout, whose world is another one."""
+    T = make_transform(Rotation.from_euler("xyz", [1.2, 0.4, -2.0]).as_matrix(), np.array([0.4, -1.0, 2.0]))
+    poses = [f"{100 + i} {told(T @ frame.camera.T_world_camera)}" for i, frame in enumerate(FRAMES)]
+    (tum / "groundtruth.txt").write_text("\n".join(poses))
+    capture = imported("tum", tum, tmp_path / "out", intrinsics=INTRINSICS)
+    session = toolkit.Session("estimate")
+    session.database(capture.current)
+    found = [invert(T) @ e.T_goal_current @ T for e in session.estimate(capture.goal) if e.T_goal_current is not None]
+    off = np.array([[np.abs(motion - true_motion(number)).max() for motion in found] for number in (1, 2, 3)])
+    assert sorted(off.argmin(axis=0)) == [0, 1, 2] and off.min(axis=0).max() < 0.01

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from toolkit.errors import ToolkitError
+from toolkit.files import read_json
 
 _MOST = 2**31 - 1
 _LARGEST = 1e12
@@ -216,28 +217,6 @@ def read_models(path: Path) -> dict[int, ModelEntry]:
     """
     entries = _by_id(path, "object")
     return {number: _checked(ModelEntry, value, path, f"object {number}") for number, value in entries.items()}
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file in any Unicode encoding, with a byte-order mark or without.
-
-    Raises:
-        ToolkitError: it is missing, cannot be read or parsed, or gives one key twice.
-    """
-    try:
-        return json.loads(path.read_bytes(), object_pairs_hook=_each_key_once)
-    except FileNotFoundError as error:
-        raise ToolkitError(f"'{path}' is missing") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise ToolkitError(f"'{path}' is not readable JSON: {' '.join(str(error).split())}") from error
-
-
-def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    keys = [key for key, _ in pairs]
-    twice = next((key for key in keys if keys.count(key) > 1), None) if len(set(keys)) < len(keys) else None
-    if twice is not None:
-        raise ValueError(f"the key {_quoted(twice)} stands in it twice; remove one")
-    return dict(pairs)
 
 
 def _by_id(path: Path, what: str) -> dict[int, Any]:

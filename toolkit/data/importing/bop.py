@@ -12,10 +12,11 @@ from toolkit.data.bop.images import DEPTHS, ImageFolder
 from toolkit.data.bop.notes import Notes
 from toolkit.data.bop.poses import world_to_camera
 from toolkit.data.bop.scene import SceneFolder
-from toolkit.data.bop.schemas import TrueEntry, read_json, read_truth
+from toolkit.data.bop.schemas import TrueEntry, read_truth
 from toolkit.data.bop.truth import load_models, placed_objects
 from toolkit.data.importing.recording import Importer, Recording, Shot
 from toolkit.errors import ToolkitError
+from toolkit.files import read_json
 from toolkit.geometry import invert
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Placed

@@ -10,12 +10,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from toolkit.data.bop.images import DEPTHS, PICTURES
 from toolkit.data.bop.poses import rigid
-from toolkit.data.bop.schemas import read_json
 from toolkit.data.importing.folders import by_number, depth_image, picture
 from toolkit.data.importing.opengl import from_opengl, low_resolution
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import DepthScale
 from toolkit.errors import ToolkitError
+from toolkit.files import read_json
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame
 

@@ -10,6 +10,7 @@ from toolkit.data.importing.recording import Shot, pinhole_frame
 from toolkit.data.importing.settings import told_pose
 from toolkit.data.importing.streams import Stream
 from toolkit.errors import ToolkitError
+from toolkit.files import writing
 from toolkit.types import Float, Frame
 
 GOAL = "goal"
@@ -52,7 +53,8 @@ def record_capture(stream: Stream, lines: Iterable[str], T_body_camera: Float, o
             f"a capture has one goal image and at least one current frame, got {len(goals)} and {len(current)}; "
             f"begin the line with the pose of the goal image with '{GOAL}'"
         )
-    write_capture(out, current, goals[0])
+    with writing(out):
+        write_capture(out, current, goals[0])
     return len(current)
 
 

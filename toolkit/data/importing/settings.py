@@ -10,8 +10,8 @@ from pydantic import BeforeValidator, Field
 from scipy.spatial.transform import Rotation
 
 from toolkit.data.bop.poses import rigid
-from toolkit.data.bop.schemas import read_json
 from toolkit.errors import ToolkitError
+from toolkit.files import read_json
 from toolkit.geometry import make_transform
 from toolkit.types import Float
 

@@ -11,6 +11,7 @@ from toolkit.data.importing.choosing import Frames, find
 from toolkit.data.importing.folders import picture
 from toolkit.data.importing.recording import Recording
 from toolkit.errors import ToolkitError
+from toolkit.files import writing
 from toolkit.types import Frame, Placed, TrueObject
 
 
@@ -65,12 +66,14 @@ def import_capture(recording: Recording, out: Path, goal: Goal, frames: Frames) 
     notes = tuple(dict.fromkeys((*recording.notes, *of_goal.notes)))
     if now is None or then is None:
         bare = [replace(frame, true_masks=None) for frame in loaded]
-        write_capture(out, bare, replace(target, true_masks=None))
+        with writing(out):
+            write_capture(out, bare, replace(target, true_masks=None))
         return notes
     both = {
         i: TrueObject(now[i].model, now[i].T_world_model, then[i].T_world_model, i) for i in now.keys() & then.keys()
     }
-    write_capture(out, loaded, target, dict(sorted(both.items())), _without(now, both), _without(then, both))
+    with writing(out):
+        write_capture(out, loaded, target, dict(sorted(both.items())), _without(now, both), _without(then, both))
     return notes
 
 
