@@ -91,6 +91,8 @@ MISTAKES = {
         "unknown setting 'colour'; did you mean 'color'?",
     ),
     "a setting that a kind needs": (["capture", "import", "colmap", "x", "y", "--goal", "0"], "'scale'"),
+    "no such kind to export": (["export", "csv", "x", "y"], "unknown export kind 'csv'"),
+    "nothing to export": (["export", "ply", "nowhere", "y"], "'nowhere' holds no poses.json"),
     "no such list": (["list", "experiment"], "did you mean 'experiments'?"),
     "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
 }
@@ -229,6 +231,13 @@ def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
     assert picture.shape[1:] == goal.shape[1:] and (picture[: len(goal)] != goal).any()
     assert poses["findings"] == []
     assert "confidence" in done.stdout and "overlay.png" in done.stdout
+    for kind, options in (("bop", ["--set", f"captures={dataset / '000000'}"]), ("ply", []), ("ros", [])):
+        exported = toolkit("export", kind, tmp_path / "out", tmp_path / kind, *options)
+        assert exported.returncode == 0 and f"Written: {tmp_path / kind}" in exported.stdout, exported.stderr
+    moved = sum(entry["T_goal_current"] is not None for entry in poses["objects"])
+    assert len((tmp_path / "bop").read_text().splitlines()) == 1 + moved
+    assert len(list((tmp_path / "ply").iterdir())) == len(poses["instances"])
+    assert sum(o["goal"] is not None for o in json.loads((tmp_path / "ros").read_text())["objects"]) == moved
     assert list((tmp_path / "out").glob("matches_*.png"))
 
 

@@ -14,8 +14,6 @@ from toolkit.errors import ToolkitError, suggest
 VIEWS = 8
 """Frames that are taken where none are asked for: the paper's number of views."""
 
-_APART_M = 0.001
-
 
 @dataclass(frozen=True)
 class Frames:
@@ -65,10 +63,10 @@ def find(recording: Recording, key: str) -> Shot:
 
 
 def spread(shots: Sequence[Shot], count: int) -> list[Shot]:
-    """At most `count` shots from places as far from each other as can be: the first, then always the farthest."""
+    """At most `count` shots, as far from each other as can be: the first, then always the farthest; no place twice."""
     eyes = np.array([shot.T_world_camera[:3, 3] for shot in shots])
     taken, apart = [0], np.linalg.norm(eyes - eyes[0], axis=1)
-    while len(taken) < min(count, len(shots)) and apart.max() > _APART_M:
+    while len(taken) < min(count, len(shots)) and apart.max() > 0:
         taken.append(int(apart.argmax()))
         apart = np.minimum(apart, np.linalg.norm(eyes - eyes[taken[-1]], axis=1))
     return [shots[i] for i in sorted(taken)]

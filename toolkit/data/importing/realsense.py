@@ -32,8 +32,8 @@ class RealSense(Plugin[RealSenseConfig], Importer):
     """Colour and depth of a RealSense recording, depth aligned to colour, with poses from a file.
 
     A recording holds no poses: `poses` is what the arm reported, over time, in seconds of the clock that frames are
-    stamped by (with global time, the default of D400 cameras, the computer's). pyrealsense2 writes and reads .db3
-    since 2.57, and .bag before that. Pairs of colour and depth that are further apart than the tolerance are left out.
+    stamped by (with global time, the default of D400 cameras, the computer's). Recordings are .bag files, or .db3 files
+    of newer versions. Pairs of colour and depth that are further apart than the tolerance are left out.
     """
 
     stage, name = "import kind", "realsense"

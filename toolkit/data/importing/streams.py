@@ -73,12 +73,18 @@ class Stream:
 
     @classmethod
     def of_camera(cls, width: int, height: int, rate: int) -> Stream:
-        """Colour and depth of a camera that is connected, of that many pixels and frames per second."""
+        """Colour and depth of a camera that is connected, of that many pixels and frames per second.
+
+        The first second is not used: exposure settles in it.
+        """
         rs = library("pyrealsense2", "realsense", "a RealSense camera")
         config = rs.config()
         config.enable_stream(rs.stream.color, width, height, rs.format.rgb8, rate)
         config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
-        return cls(rs, config, "the RealSense camera")
+        stream = cls(rs, config, "the RealSense camera")
+        for _, _ in zip(range(rate), stream.frames(), strict=False):
+            pass
+        return stream
 
     def __enter__(self) -> Stream:
         return self
