@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from written import edit, small_capture
 
@@ -19,6 +20,7 @@ import toolkit
 from toolkit.data.bop import load_capture
 from toolkit.data.importing import IMPORTERS
 from toolkit.data.importing.choosing import Frames, find, spread
+from toolkit.data.importing.folders import picture
 from toolkit.data.importing.recorder import record_capture
 from toolkit.data.importing.recording import Recording, Shot
 from toolkit.data.importing.streams import Stream
@@ -413,9 +415,13 @@ def test_ros_compressed_topics(tmp_path):
     is_the_same(imported("ros", path, tmp_path / "out", **settings), depth_m=1e-3)
 
 
-def test_a_file_that_is_no_recording_of_ros_is_named(tmp_path):
+def test_what_is_no_recording_of_ros_or_has_no_poses_is_named(tmp_path):
     pytest.importorskip("rosbags")
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0 but not really")
+    with Bag(tmp_path / "no_tf", "mcap") as bag:
+        write_pixels(bag)
+    with pytest.raises(ToolkitError, match="has no /tf; name a topic of poses"):
+        imported("ros", tmp_path / "no_tf", tmp_path / "out", **TOPICS)
     for source in ("x.bag", "nowhere"):
         with pytest.raises(ToolkitError, match="is no recording of ROS that can be read"):
             imported("ros", tmp_path / source, tmp_path / "out")
@@ -586,7 +592,21 @@ def test_a_bop_scene_without_models_has_no_truth(bop, tmp_path):
     assert notes == ("scene_gt.json, mask_visib/ or models_info.json is not there: the capture has no truth",)
 
 
-# Which images are taken.
+# Which images are taken, and how they lie.
+
+
+def test_a_picture_is_turned_as_exif_says_only_where_its_camera_is(tmp_path):
+    rgb = FRAMES[0].rgb
+    stored = Image.fromarray(rgb)
+    exif = stored.getexif()
+    exif[0x0112] = 6  # the top of the scene is at the right
+    stored.save(tmp_path / "turned.png", exif=exif)
+    np.testing.assert_array_equal(picture(tmp_path / "turned.png", (240, 320)), rgb)
+    np.testing.assert_array_equal(picture(tmp_path / "turned.png", (320, 240)), np.rot90(rgb, -1))
+    with pytest.raises(ToolkitError, match="its size does not tell"):
+        picture(tmp_path / "turned.png")
+    with pytest.raises(ToolkitError, match="is 320x240, but its camera says 100x200"):
+        picture(tmp_path / "turned.png", (200, 100))
 
 
 def path_of(count: int) -> Recording:

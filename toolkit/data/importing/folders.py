@@ -11,7 +11,7 @@ from toolkit.data.bop.images import read_color, read_depth, turned
 from toolkit.errors import ToolkitError
 from toolkit.types import Float, Image
 
-TIMES = 0.02
+TOLERANCE_S = 0.02
 """Seconds that stamps of colour, depth and pose may lie apart, as the TUM benchmark's own tools have it."""
 
 

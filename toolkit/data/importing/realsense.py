@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from toolkit.data.importing.folders import TIMES
+from toolkit.data.importing.folders import TOLERANCE_S
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import HandEye, pose
 from toolkit.data.importing.streams import Pixels, Stream
@@ -25,7 +25,7 @@ class RealSenseConfig(PluginConfig):
 
     poses: Path = Field(description="file of `time x y z qx qy qz qw` lines, by the clock of the recording's frames")
     hand_eye: HandEye | None = None
-    tolerance: float = Field(TIMES, gt=0, description="seconds that stamps may lie apart")
+    tolerance: float = Field(TOLERANCE_S, gt=0, description="seconds that stamps may lie apart")
 
 
 class RealSense(Plugin[RealSenseConfig], Importer):

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from toolkit.data.importing.folders import TIMES
+from toolkit.data.importing.folders import TOLERANCE_S
 from toolkit.data.importing.recording import Importer, Recording, Shot, library, pinhole_frame
 from toolkit.data.importing.ros_messages import depth_of, lens_of, rgb_of, seconds, stamped_pose
 from toolkit.data.importing.ros_tf import Pose, Tree
@@ -40,7 +40,7 @@ class RosConfig(PluginConfig):
         None, description="the body's frame in /tf; where it is left out, the frame that colour images are stamped with"
     )
     hand_eye: HandEye | None = None
-    tolerance: float = Field(TIMES, gt=0, description="seconds that stamps may lie apart")
+    tolerance: float = Field(TOLERANCE_S, gt=0, description="seconds that stamps may lie apart")
 
 
 class Ros(Plugin[RosConfig], Importer):
@@ -157,5 +157,7 @@ def _bodies(found: Mapping[str, list[tuple[int, Any]]], config: RosConfig) -> di
     if config.pose is not None:
         trajectory = Trajectory(*zip(*(stamped for _, stamped in found[config.pose]), strict=True))
         return dict.fromkeys(frames, lambda stamp: trajectory.at(stamp, config.tolerance))
+    if not any(found[topic] for topic in _TF):
+        raise ToolkitError("the recording has no /tf; name a topic of poses with --set pose=TOPIC")
     tree = Tree((topic == _TF[1], message) for topic in _TF for _, message in found[topic])
     return {frame: tree.pose(config.world, config.camera or frame, config.tolerance) for frame in frames}

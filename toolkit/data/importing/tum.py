@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from toolkit.data.importing.folders import TIMES, depth_image, numbers, picture, rows
+from toolkit.data.importing.folders import TOLERANCE_S, depth_image, numbers, picture, rows
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import DepthScale, Distortion, Intrinsics, matrix
 from toolkit.data.importing.trajectory import nearest, read_trajectory
@@ -22,7 +22,7 @@ class TumConfig(PluginConfig):
     intrinsics: Intrinsics
     distortion: Distortion = ()
     depth_scale: DepthScale = 0.2
-    tolerance: float = Field(TIMES, gt=0, description="seconds that stamps may lie apart")
+    tolerance: float = Field(TOLERANCE_S, gt=0, description="seconds that stamps may lie apart")
 
 
 class Tum(Plugin[TumConfig], Importer):
