@@ -279,8 +279,7 @@ def test_the_oracle_without_truth_is_a_users_mistake(capture_copy, tmp_path):
 
 def test_a_recording_is_imported_and_checked(dataset, tmp_path):
     scenes = [dataset / "000000" / name for name in ("current", "goal")]
-    models = f"models={dataset / '000000' / 'models_info.json'}"
-    chosen = ["--goal", "0", "--goal-source", scenes[1], "--frames", "0:3", "--set", models]
+    chosen = ["--goal", "0", "--goal-source", scenes[1], "--frames", "0:3"]
     done = toolkit("capture", "import", "bop", scenes[0], tmp_path / "out", *chosen)
     assert done.returncode == 0, done.stderr
     assert f"Next: toolkit capture check {tmp_path / 'out'}" in done.stdout

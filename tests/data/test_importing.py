@@ -422,7 +422,9 @@ def test_what_is_no_recording_of_ros_or_has_no_poses_is_named(tmp_path):
         write_pixels(bag)
     with pytest.raises(ToolkitError, match="has no /tf; name a topic of poses"):
         imported("ros", tmp_path / "no_tf", tmp_path / "out", **TOPICS)
-    for source in ("x.bag", "nowhere"):
+    (whole,) = (tmp_path / "no_tf").glob("*.mcap")
+    (tmp_path / "half.mcap").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    for source in ("x.bag", "nowhere", "half.mcap"):
         with pytest.raises(ToolkitError, match="is no recording of ROS that can be read"):
             imported("ros", tmp_path / source, tmp_path / "out")
 

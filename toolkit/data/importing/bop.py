@@ -78,10 +78,12 @@ class Bop(Plugin[BopConfig], Importer):
         return Recording(shots, load, placed, notes.sentences())
 
     def _models(self, source: Path) -> Path | None:
-        """The dataset's models_info.json lies two folders above a scene, beside test/ or train/."""
+        """A dataset's models_info.json lies beside the folder of its scenes, a capture's beside current/."""
         if self.config.models is not None:
             return self.config.models
-        return next(iter(sorted(source.resolve().parents[1].glob(_MODELS))), None)
+        scenes = source.resolve().parent
+        found = [scenes / "models_info.json", *sorted(scenes.parent.glob(_MODELS))]
+        return next((path for path in found if path.is_file()), None)
 
 
 def _only(scene: SceneFolder, shots: Sequence[Shot]) -> SceneFolder:

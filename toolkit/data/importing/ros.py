@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from toolkit.data.importing.folders import TOLERANCE_S
-from toolkit.data.importing.recording import Importer, Recording, Shot, library, pinhole_frame
+from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
+from toolkit.data.importing.ros_bag import Bag
 from toolkit.data.importing.ros_messages import depth_of, lens_of, rgb_of, seconds, stamped_pose
 from toolkit.data.importing.ros_tf import Pose, Tree
 from toolkit.data.importing.settings import HandEye, pose
 from toolkit.data.importing.trajectory import Trajectory, nearest
-from toolkit.errors import ToolkitError, suggest
+from toolkit.errors import ToolkitError
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame
-
-Array = TypeVar("Array")
 
 _TF = ("/tf", "/tf_static")
 
@@ -55,7 +53,7 @@ class Ros(Plugin[RosConfig], Importer):
     stage, name = "import kind", "ros"
 
     def read(self, source: Path) -> Recording:
-        config, bag = self.config, _Bag(source)
+        config, bag = self.config, Bag(source)
         if config.pose is not None and config.hand_eye is None:
             raise ToolkitError(
                 f'the topic {config.pose} gives poses of some body; --set "hand_eye=X Y Z QX QY QZ QW" says how the '
@@ -99,56 +97,6 @@ class Ros(Plugin[RosConfig], Importer):
 
         notes = (f"{left} images have no pose within {config.tolerance:g} s: left out",) if left else ()
         return Recording(tuple(shots), load, notes=notes)
-
-
-class _Bag:
-    """A recording whose messages are read again whenever they are asked for."""
-
-    def __init__(self, source: Path) -> None:
-        self._source = source
-        self._rosbags = library("rosbags.highlevel", "ros", "the import kind 'ros'")
-        stores = library("rosbags.typesys", "ros", "the import kind 'ros'")
-        self._store = stores.get_typestore(stores.Stores.LATEST)
-
-    def gather(
-        self, needed: Mapping[str, Callable[[Any], Any]], others: Mapping[str, Callable[[Any], Any]]
-    ) -> dict[str, list[tuple[int, Any]]]:
-        """By topic, when each message was recorded (nanoseconds), and what a function has of it.
-
-        Raises:
-            ToolkitError: of the needed topics one is unknown, or has no message.
-        """
-        topics = {**needed, **others}
-        found: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in topics}
-        with self._open() as reader:
-            for topic in needed:
-                if topic not in reader.topics or not reader.topics[topic].msgcount:
-                    known = suggest(topic, [name for name, info in reader.topics.items() if info.msgcount])
-                    raise ToolkitError(f"'{self._source}' has nothing of the topic {topic}{known}")
-            connections = [c for c in reader.connections if c.topic in topics]
-            for connection, at, data in reader.messages(connections):
-                message = reader.deserialize(data, connection.msgtype)
-                found[connection.topic].append((at, topics[connection.topic](message)))
-        return found
-
-    def pick(self, topic: str, decode: Callable[[Any], Array], times: Sequence[int]) -> dict[int, Array]:
-        """By time of recording, some messages of a topic."""
-        found: dict[int, Array] = {}
-        with self._open() as reader:
-            connections = [c for c in reader.connections if c.topic == topic]
-            for time in times:
-                for connection, at, data in reader.messages(connections, start=time, stop=time + 1):
-                    found[at] = decode(reader.deserialize(data, connection.msgtype))
-        return found
-
-    @contextmanager
-    def _open(self) -> Generator[Any]:
-        try:
-            with self._rosbags.AnyReader([self._source], default_typestore=self._store) as reader:
-                yield reader
-        except (self._rosbags.AnyReaderError, OSError, ValueError, KeyError) as error:
-            said = " ".join(str(error).split())
-            raise ToolkitError(f"'{self._source}' is no recording of ROS that can be read: {said}") from error
 
 
 def _bodies(found: Mapping[str, list[tuple[int, Any]]], config: RosConfig) -> dict[str, Pose]:
