@@ -50,6 +50,41 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
+def read_json(path: Path) -> Any:
+    """Read a JSON file in any Unicode encoding, with a byte-order mark or without.
+
+    Raises:
+        ToolkitError: it is missing, cannot be read or parsed, or gives one key twice.
+    """
+    try:
+        return json.loads(path.read_bytes(), object_pairs_hook=_each_key_once)
+    except FileNotFoundError as error:
+        raise ToolkitError(f"'{path}' is missing") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise ToolkitError(f"'{path}' is not readable JSON: {' '.join(str(error).split())}") from error
+
+
+def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    keys = [key for key, _ in pairs]
+    twice = next((key for key in keys if keys.count(key) > 1), None) if len(set(keys)) < len(keys) else None
+    if twice is not None:
+        raise ValueError(f"the key {json.dumps(twice)} stands in it twice; remove one")
+    return dict(pairs)
+
+
+@contextmanager
+def writing(path: Path) -> Generator[None]:
+    """Turn a full disk or a folder without permission into one clear sentence.
+
+    Raises:
+        ToolkitError: an OSError was raised inside the block.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ToolkitError(f"'{path}' cannot be written: {error.strerror or error}") from error
+
+
 def make_once(folder: Path, make: Callable[[Path], object]) -> Path:
     """A folder of files that is made where it is not there whole; returns it.
 

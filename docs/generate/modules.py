@@ -31,6 +31,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "Rows and figures": (
         *(f"results.{name}" for name in ("rows", "scoring", "metrics", "stats", "comparisons", "completion")),
+        "results.poses",
         "pictures.poses",
     ),
     "Data": tuple(

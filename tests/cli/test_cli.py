@@ -20,7 +20,11 @@ import pytest
 from toolkit import __version__
 from toolkit.cli import doctor
 from toolkit.cli.commands import main
+from toolkit.data.bop import load_capture
+from toolkit.data.clouds import read_cloud
+from toolkit.geometry import invert, transform_points
 from toolkit.harness.experiment import load_experiment
+from toolkit.results.poses import read_poses
 from toolkit.results.rows import read_rows
 from toolkit.settings import shipped_settings
 
@@ -81,6 +85,14 @@ MISTAKES = {
     "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
     "a check of nothing": (["check", "matcher", "lofter"], "did you mean 'loftr'?"),
     "several values where one is set": (["check", "index", "numpy", "--set", "a=1,2"], "--set a takes one value here"),
+    "no such kind to import": (["capture", "import", "tumm", "x", "y", "--goal", "0"], "did you mean 'tum'?"),
+    "an unknown setting of a kind": (
+        ["capture", "import", "ros", "x", "y", "--goal", "0", "--set", "colour=/a"],
+        "unknown setting 'colour'; did you mean 'color'?",
+    ),
+    "a setting that a kind needs": (["capture", "import", "colmap", "x", "y", "--goal", "0"], "'scale'"),
+    "no such kind to export": (["export", "csv", "x", "y"], "unknown export kind 'csv'"),
+    "nothing to export": (["export", "ply", "nowhere", "y"], "'nowhere' holds no poses.json"),
     "no such list": (["list", "experiment"], "did you mean 'experiments'?"),
     "no such dataset": (["dataset", "show", "nowhere"], "nowhere"),
 }
@@ -198,7 +210,7 @@ def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
     done = own_process("estimate", dataset / "000000", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     poses = json.loads((tmp_path / "out" / "poses.json").read_text())
-    assert poses["schema"] == 1 and poses["capture"] == "000000"
+    assert poses["schema"] == 2 and poses["capture"] == "000000"
     assert len(poses["objects"]) == 3
     for entry in poses["objects"]:
         assert set(entry) == {
@@ -209,11 +221,23 @@ def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
         x0, y0, x1, y1 = entry["bbox_xyxy"]
         assert mask.shape == (480, 640) and mask[y0 : y1 + 1, x0 : x1 + 1].any()
         assert (entry["T_goal_current"] is None) == (entry["status"] != "estimated")
+    for instance in read_poses(tmp_path / "out" / "poses.json").instances:
+        points, _ = read_cloud(tmp_path / "out" / instance.model)
+        local = transform_points(invert(np.array(instance.T_world_box)), points)
+        assert (np.abs(local) <= np.array(instance.size) / 2 + 1e-4).all()
+    assert poses["not_in_goal"] == poses["not_in_current"] == []
     picture = cv2.imread(str(tmp_path / "out" / "overlay.png"))
     goal = cv2.imread(str(dataset / "000000" / "goal" / "rgb" / "000000.png"))
     assert picture.shape[1:] == goal.shape[1:] and (picture[: len(goal)] != goal).any()
     assert poses["findings"] == []
     assert "confidence" in done.stdout and "overlay.png" in done.stdout
+    for kind, options in (("bop", ["--set", f"captures={dataset / '000000'}"]), ("ply", []), ("ros", [])):
+        exported = toolkit("export", kind, tmp_path / "out", tmp_path / kind, *options)
+        assert exported.returncode == 0 and f"Written: {tmp_path / kind}" in exported.stdout, exported.stderr
+    moved = sum(entry["T_goal_current"] is not None for entry in poses["objects"])
+    assert len((tmp_path / "bop").read_text().splitlines()) == 1 + moved
+    assert len(list((tmp_path / "ply").iterdir())) == len(poses["instances"])
+    assert sum(o["goal"] is not None for o in json.loads((tmp_path / "ros").read_text())["objects"]) == moved
     assert list((tmp_path / "out").glob("matches_*.png"))
 
 
@@ -251,6 +275,27 @@ def test_the_oracle_without_truth_is_a_users_mistake(capture_copy, tmp_path):
     done = toolkit("estimate", capture_copy, "--segmenter", "oracle", "--out", tmp_path / "out")
     assert done.returncode == 2 and done.stderr.startswith("error: ")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_is_imported_and_checked(dataset, tmp_path):
+    scenes = [dataset / "000000" / name for name in ("current", "goal")]
+    chosen = ["--goal", "0", "--goal-source", scenes[1], "--frames", "0:3"]
+    done = toolkit("capture", "import", "bop", scenes[0], tmp_path / "out", *chosen)
+    assert done.returncode == 0, done.stderr
+    assert f"Next: toolkit capture check {tmp_path / 'out'}" in done.stdout
+    (same, original) = map(load_capture, (tmp_path / "out", dataset / "000000"))
+    assert [frame.index for frame in same.current] == [0, 1, 2] and same.truth.keys() == original.truth.keys()
+    assert toolkit("capture", "check", tmp_path / "out").returncode == 0
+    again = toolkit("capture", "import", "bop", scenes[0], tmp_path / "out", *chosen)
+    assert again.returncode == 2 and "is there already" in again.stderr
+
+
+def test_recording_needs_a_camera(tmp_path):
+    pytest.importorskip("pyrealsense2")
+    done = toolkit("capture", "record", tmp_path / "out", "--hand-eye", "0 0 0 0 0 0 1")
+    assert done.returncode == 2 and "the RealSense camera cannot be opened" in done.stderr
+    done = toolkit("capture", "record", tmp_path / "out", "--hand-eye", "0 0 0")
+    assert done.returncode == 2 and "--hand-eye must be `x y z qx qy qz qw`" in done.stderr
 
 
 def test_evaluate_scores_a_folder_of_captures(dataset, tmp_path):

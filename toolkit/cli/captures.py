@@ -8,11 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
+from toolkit.cli.completion import import_kinds
 from toolkit.cli.console import bars, say
-from toolkit.cli.options import ExperimentArgument, OutOption, read_cell, with_experiment_options
+from toolkit.cli.options import (
+    ExperimentArgument,
+    OutOption,
+    SettingsOption,
+    read_cell,
+    single_values,
+    with_experiment_options,
+)
 
 app = typer.Typer()
-capture_app = typer.Typer(help="Look at a capture folder.", no_args_is_help=True)
+capture_app = typer.Typer(help="Check a capture folder, make one of a recording, or take one.", no_args_is_help=True)
 app.add_typer(capture_app, name="capture")
 
 
@@ -95,3 +103,57 @@ def check(
     if not findings:
         count = len(loaded.current)
         say(f"nothing is wrong with {count} current frame{'s' if count > 1 else ''} and the goal that can be measured")
+
+
+@capture_app.command("import")
+def import_(
+    kind: Annotated[str, typer.Argument(autocompletion=import_kinds, help="What SOURCE is: bop, tum, ros, ...")],
+    source: Annotated[Path, typer.Argument(help="The recording of the current scene: a folder or a file.")],
+    out: Annotated[Path, typer.Argument(help="The capture folder to write.")],
+    goal: Annotated[str, typer.Option(help="The goal image: its name or number in the recording, or a picture file.")],
+    goal_source: Annotated[
+        Path | None, typer.Option(help="Another recording in the same world, which holds the goal image.")
+    ] = None,
+    goal_camera: Annotated[
+        str | None, typer.Option(help="For a picture file: the image that was taken from the same place.")
+    ] = None,
+    frames: Annotated[
+        str | None, typer.Option(help="Current frames: names, numbers and ranges, as 3,7 or 100:300.")
+    ] = None,
+    every: Annotated[int | None, typer.Option(min=1, help="Take every N-th of them.")] = None,
+    settings: SettingsOption = [],  # noqa: B006
+) -> None:
+    """Make a capture of a recording; of its images, 8 are taken where neither --frames nor --every says which."""
+    progress = bars()
+    with progress.waiting("Reading"):
+        from toolkit.data.importing import IMPORTERS
+        from toolkit.data.importing.choosing import Frames
+        from toolkit.data.importing.writing import Goal, import_capture
+
+        importer = IMPORTERS.create(kind, single_values(settings))
+        recording, other = (None if path is None else importer.read(path) for path in (source, goal_source))
+        assert recording is not None
+        notes = import_capture(recording, out, Goal(goal, other, goal_camera), Frames(frames, every))
+    say(*notes, f"Written: {out}", f"Next: toolkit capture check {out}")
+
+
+@capture_app.command("record")
+def record(
+    out: Annotated[Path, typer.Argument(help="The capture folder to write.")],
+    hand_eye: Annotated[
+        str, typer.Option(help="The colour camera on the body whose poses are told: 'x y z qx qy qz qw', metres.")
+    ],
+    size: Annotated[tuple[int, int], typer.Option(help="Width and height of colour and depth, pixels.")] = (640, 480),
+    rate: Annotated[int, typer.Option(min=1, help="Frames per second.")] = 30,
+) -> None:
+    """Take a capture with a RealSense camera: a picture for every pose on standard input, `goal` before the goal's."""
+    from toolkit.data.importing.recorder import record_capture
+    from toolkit.data.importing.settings import told_pose
+    from toolkit.data.importing.streams import Stream
+
+    T_body_camera = told_pose(hand_eye, "--hand-eye")
+    with Stream.of_camera(*size, rate) as stream:
+        if sys.stdin.isatty():
+            say("A pose and Enter for every picture (x y z qx qy qz qw), 'goal' before the goal's; Ctrl-D at the end:")
+        count = record_capture(stream, sys.stdin, T_body_camera, out)
+    say(f"Written: {out}, with {count} current frames and the goal", f"Next: toolkit capture check {out}")

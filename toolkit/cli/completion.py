@@ -39,6 +39,20 @@ def implementations_of(slot: str) -> Callable[[str], list[str]]:
     return names
 
 
+def import_kinds(incomplete: str) -> list[str]:
+    """Kinds of recordings that captures are made of."""
+    from toolkit.data.importing import IMPORTERS
+
+    return _that_begin(IMPORTERS.names(), incomplete)
+
+
+def export_kinds(incomplete: str) -> list[str]:
+    """Kinds of files that results are written as."""
+    from toolkit.data.exporting import EXPORTERS
+
+    return _that_begin(EXPORTERS.names(), incomplete)
+
+
 def _implementations(stage: str, incomplete: str) -> list[str]:
     from toolkit.stages import REGISTRIES
 

@@ -1,4 +1,4 @@
-"""`toolkit report` and `toolkit view`: what runs have left."""
+"""`toolkit report`, `toolkit view` and `toolkit export`: what runs and estimates have left."""
 
 from __future__ import annotations
 
@@ -7,8 +7,17 @@ from typing import Annotated
 
 import typer
 
+from toolkit.cli.completion import export_kinds
 from toolkit.cli.console import say
-from toolkit.cli.options import OutOption, PluginOption, experiment_names, read_cell, register_plugin_files
+from toolkit.cli.options import (
+    OutOption,
+    PluginOption,
+    SettingsOption,
+    experiment_names,
+    read_cell,
+    register_plugin_files,
+    single_values,
+)
 from toolkit.errors import ToolkitError
 
 app = typer.Typer()
@@ -63,6 +72,25 @@ def view(
     say(f"Written: {path}")
     if save is None and not open_viewer(path):
         say(f"No display here; where there is one: rerun {path}")
+
+
+@app.command()
+def export(
+    kind: Annotated[str, typer.Argument(autocompletion=export_kinds, help="bop, ply or ros.")],
+    result: Annotated[Path, typer.Argument(help="What `estimate` or `evaluate` wrote (--out).")],
+    out: Annotated[Path, typer.Argument(help="The file to write; the folder, where there are several.")],
+    settings: SettingsOption = [],  # noqa: B006
+) -> None:
+    """Write results as other tools read them: BOP results CSV, PLY models, PoseStamped as JSON."""
+    from toolkit.data.exporting import EXPORTERS
+    from toolkit.data.exporting.results import read_results
+    from toolkit.files import writing
+
+    exporter = EXPORTERS.create(kind, single_values(settings))
+    results = read_results(result)
+    with writing(out):
+        say(*exporter.write(results, out))
+    say(f"Written: {out}")
 
 
 def show_run(run: Path) -> None:

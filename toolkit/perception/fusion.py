@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import cubes, group_means
+from toolkit.geometry import cubes, group_means, transform_points
 from toolkit.perception.database import Database
 from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Failure, Float, Frame, Image, Mask, Region, Segment
@@ -129,6 +129,20 @@ def united(models: Sequence[FusedModel]) -> FusedModel:
         tuple(patch for model in models for patch in model.patches),
         min(model.score for model in models),
     )
+
+
+def cloud(database: Database, instance: int) -> tuple[Float, Float]:
+    """(N, 3) float32 world points of an instance and their (N, 3) RGB colours, 0..255.
+
+    They are fused in the table's own frame, or as they were measured where fusion leaves too few.
+    """
+    model = fuse(database.level, instance)
+    if isinstance(model, FusedModel):
+        return transform_points(database.T_world_level, model.points).astype(np.float32), model.colors
+    rows = database.instance(instance)
+    pixels = [(database.frame_of(row).rgb, database.regions[row].pixels) for row in rows]
+    colors = np.concatenate([rgb[xy[:, 1], xy[:, 0]] for rgb, xy in pixels])
+    return np.concatenate([database.regions[row].points for row in rows]), colors.astype(np.float32)
 
 
 class Models:

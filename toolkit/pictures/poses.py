@@ -1,9 +1,8 @@
-"""Pose estimates of one capture as poses.json, with the goal masks and pictures beside it."""
+"""Pose estimates of one capture as poses.json, with goal masks, fused models and pictures beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -11,17 +10,21 @@ from typing import Any
 import cv2
 import numpy as np
 
+from toolkit.data.clouds import write_cloud
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
+from toolkit.perception.extents import measure_extent
+from toolkit.perception.fusion import cloud
 from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
 from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
+from toolkit.results.poses import POSES, SCHEMA, Found, GoalObject, Instance, Poses
 from toolkit.results.rows import Row
 from toolkit.types import Capture, Finding, Float, PoseEstimate
 
-POSES_SCHEMA = 1
+_MASKS, _MODELS = "masks", "models"
 
 
 def write_poses(
@@ -31,36 +34,62 @@ def write_poses(
     estimates: Sequence[PoseEstimate],
     findings: Sequence[Finding] = (),
 ) -> Path:
-    """Write OUT/poses.json, the goal masks, and the pictures beside it. Returns the path of poses.json."""
-    masks = out / "masks"
-    masks.mkdir(parents=True, exist_ok=True)
-    objects: list[dict[str, Any]] = []
-    for estimate in estimates:
-        name = f"masks/{estimate.goal_object:06d}.png"
-        _write_png(out / name, estimate.segment.mask.astype(np.uint8) * 255)
-        failure, motion = estimate.failure, estimate.T_goal_current
-        objects.append(
-            {
-                "goal_object": estimate.goal_object,
-                "bbox_xyxy": list(estimate.segment.bbox_xyxy),
-                "mask": name,
-                "instance": estimate.instance,
-                "status": estimate.status,
-                "T_goal_current": None if motion is None else motion.tolist(),
-                "confidence": estimate.confidence,
-                "ambiguity": estimate.ambiguity,
-                "covariance": None if estimate.covariance is None else estimate.covariance.tolist(),
-                "equivalents": None if estimate.equivalents is None else estimate.equivalents.tolist(),
-                "stage": failure.stage if failure else None,
-                "reason": failure.reason if failure else None,
-                "time_ms": {stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
-            }
-        )
-    path, missing = out / "poses.json", missing_instances(database, estimates)
-    content = {"schema": POSES_SCHEMA, "capture": capture.name, "objects": objects, "not_in_goal": missing}
-    write_json(path, {**content, "findings": [asdict(finding) for finding in findings]})
+    """Write OUT/poses.json, the goal masks and fused models it names, and pictures. Returns the path of poses.json."""
+    for folder in (_MASKS, _MODELS):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    poses = Poses(
+        schema=SCHEMA,
+        capture=capture.name,
+        objects=[_write_object(out, estimate) for estimate in estimates],
+        instances=[_write_instance(out, database, int(number)) for number in np.unique(database.instances)],
+        not_in_goal=missing_instances(database, estimates),
+        not_in_current=[estimate.goal_object for estimate in estimates if estimate.instance is None],
+        findings=[Found(severity=f.severity, sentence=f.sentence, cap=f.cap, frames=list(f.frames)) for f in findings],
+    )
+    path = out / POSES
+    write_json(path, poses.model_dump(by_alias=True, mode="json"))
     write_pictures(out, capture, database, estimates, findings)
     return path
+
+
+def _write_object(out: Path, estimate: PoseEstimate) -> GoalObject:
+    mask = f"{_MASKS}/{estimate.goal_object:06d}.png"
+    _write_png(out / mask, estimate.segment.mask.astype(np.uint8) * 255)
+    failure = estimate.failure
+    return GoalObject(
+        goal_object=estimate.goal_object,
+        bbox_xyxy=list(estimate.segment.bbox_xyxy),
+        mask=mask,
+        instance=estimate.instance,
+        status=estimate.status,
+        T_goal_current=_listed(estimate.T_goal_current),
+        confidence=estimate.confidence,
+        ambiguity=estimate.ambiguity,
+        covariance=_listed(estimate.covariance),
+        equivalents=_listed(estimate.equivalents),
+        stage=failure.stage if failure else None,
+        reason=failure.reason if failure else None,
+        time_ms={stage: round(ms, 3) for stage, ms in estimate.time_ms.items()},
+    )
+
+
+def _write_instance(out: Path, database: Database, number: int) -> Instance:
+    model = f"{_MODELS}/{number:06d}.ply"
+    points, colors = cloud(database, number)
+    write_cloud(out / model, points, colors)
+    extent = measure_extent(points, database.T_world_level)
+    return Instance(
+        instance=number,
+        center=extent.T_world_box[:3, 3].tolist(),
+        T_world_box=extent.T_world_box.tolist(),
+        size=extent.size.tolist(),
+        footprint=extent.footprint.tolist(),
+        model=model,
+    )
+
+
+def _listed(array: Float | None) -> Any:
+    return None if array is None else array.tolist()
 
 
 _SURE, _DOUBTFUL, _WITHHELD, _UNKNOWN = (40, 200, 90), (245, 190, 40), (240, 80, 60), (200, 140, 235)

@@ -14,7 +14,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.geometry import transform_points
 from toolkit.perception.database import Database
-from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.perception.fusion import cloud
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.rows import Row
 from toolkit.results.scoring import score
@@ -111,7 +111,7 @@ def record_scene(
             stream.log(side, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for frame in database.frames:
             _log_frame(stream, rr, f"current/frames/{frame.index:06d}", frame)
-        clouds = {int(i): _cloud(database, int(i)) for i in np.unique(database.instances)}
+        clouds = {int(i): cloud(database, int(i)) for i in np.unique(database.instances)}
         for instance, (points, colors) in clouds.items():
             _log_points(stream, rr, f"current/instances/{instance}", points, colors, f"instance {instance}")
         _log_frame(stream, rr, "goal/camera", capture.goal)
@@ -202,17 +202,6 @@ def _log_estimate(
     if estimate.T_goal_current is not None and estimate.instance in clouds:
         points, colors = clouds[estimate.instance]
         _log_points(stream, rr, entity, estimate.move(points), colors, label)
-
-
-def _cloud(database: Database, instance: int) -> tuple[Float, Float]:
-    """(N, 3) points and their colours: fused, or as they were measured where fusion leaves too few."""
-    model = fuse(database, instance)
-    if isinstance(model, FusedModel):
-        return model.points, model.colors
-    rows = database.instance(instance)
-    pixels = [(database.frame_of(row).rgb, database.regions[row].pixels) for row in rows]
-    colors = np.concatenate([rgb[xy[:, 1], xy[:, 0]] for rgb, xy in pixels])
-    return np.concatenate([database.regions[row].points for row in rows]), colors.astype(np.float32)
 
 
 def _named(capture: Capture, estimates: Sequence[PoseEstimate], rows: Sequence[Row]) -> dict[int, Row]:

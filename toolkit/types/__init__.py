@@ -6,7 +6,7 @@ camera axes (x right, y down, z forward), `T_a_b` is the 4x4 that takes points o
 
 from toolkit.types.arrays import Float, Image, Mask
 from toolkit.types.captures import Capture, ObjectModel, Placed, TrueObject
-from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined
+from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined, Status
 from toolkit.types.findings import Finding, Severity
 from toolkit.types.gripper import Gripper
 from toolkit.types.images import Camera, Crop, Frame, Segment
@@ -35,5 +35,6 @@ __all__ = [
     "Region",
     "Segment",
     "Severity",
+    "Status",
     "TrueObject",
 ]

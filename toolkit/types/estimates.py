@@ -28,6 +28,10 @@ Ambiguity = Literal["none", "symmetric", "hidden"]
 does not, but the goal image does not show the side that would tell (a mug's handle behind the mug)."""
 
 
+Status = Literal["estimated", "abstained", "failed"]
+"""Whether an object has a motion; `abstained` where one was found and is not believed."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """A stage that could not answer. Counted in every denominator; never an identity pose, never a NaN."""
@@ -156,8 +160,8 @@ class PoseEstimate:
             freeze(self, inliers=checked(self.inliers, (among,), np.bool_, "an estimate's inliers"))
 
     @property
-    def status(self) -> str:
-        """`estimated`, `abstained` or `failed` (poses.json)."""
+    def status(self) -> Status:
+        """Whether there is a motion."""
         if self.failure is None:
             return "estimated"
         return "abstained" if isinstance(self.failure, Abstention) else "failed"

@@ -43,9 +43,18 @@ class SceneFolder:
     own: MaskFolder | None
 
     @staticmethod
-    def read(path: Path, masks: Path | None, notes: Notes) -> SceneFolder:
-        """Read them; raises ToolkitError where one is missing, damaged, or not as its schema."""
-        cameras = read_cameras(path / "scene_camera.json")
+    def read(
+        path: Path, masks: Path | None, notes: Notes, worlds: Mapping[int, TrueEntry] | None = None
+    ) -> SceneFolder:
+        """Read them; raises ToolkitError where one is missing, damaged, or not as its schema.
+
+        Args:
+            path: the scene's folder.
+            masks: a folder with a user's own masks.
+            notes: is told what is not used.
+            worlds: by image, the object whose coordinates are the world (`read_cameras`).
+        """
+        cameras = read_cameras(path / "scene_camera.json", worlds)
         truth_path = path / "scene_gt.json"
         truth = read_truth(truth_path, cameras) if truth_path.exists() else None
         notes.add_unknown_keys(path / "scene_camera.json", cameras.values())

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from toolkit.errors import ToolkitError
+from toolkit.files import read_json
 
 _MOST = 2**31 - 1
 _LARGEST = 1e12
@@ -155,17 +156,30 @@ class ModelEntry(Entry):
     )
 
 
-def read_cameras(path: Path) -> dict[int, CameraEntry]:
+def read_cameras(path: Path, worlds: Mapping[int, TrueEntry] | None = None) -> dict[int, CameraEntry]:
     """Read scene_camera.json: image id -> camera, by rising id.
+
+    Args:
+        path: the file.
+        worlds: by image, the object whose coordinates are the world, in place of what the file says; images without it
+            are left out.
 
     Raises:
         ToolkitError: it is missing or damaged, lists no image, or an entry is not as `CameraEntry`; the sentence names
             file, image and key, and what belongs there.
     """
     entries = _by_id(path, "image")
+    if worlds is not None:
+        entries = {image: _in_world(entries[image], worlds[image]) for image in entries if image in worlds}
     if not entries:
         raise ToolkitError(f"'{path}' lists no image; it needs an entry for every image, such as \"0\": {{...}}")
     return {number: _checked(CameraEntry, value, path, f"image {number}") for number, value in entries.items()}
+
+
+def _in_world(entry: Any, world: TrueEntry) -> Any:
+    if not isinstance(entry, Mapping) or world.cam_R_m2c is None or world.cam_t_m2c is None:
+        return entry
+    return {**entry, "cam_R_w2c": list(world.cam_R_m2c), "cam_t_w2c": list(world.cam_t_m2c)}
 
 
 def read_truth(path: Path, images: Iterable[int]) -> dict[int, list[TrueEntry]]:
@@ -203,28 +217,6 @@ def read_models(path: Path) -> dict[int, ModelEntry]:
     """
     entries = _by_id(path, "object")
     return {number: _checked(ModelEntry, value, path, f"object {number}") for number, value in entries.items()}
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file in any Unicode encoding, with a byte-order mark or without.
-
-    Raises:
-        ToolkitError: it is missing, cannot be read or parsed, or gives one key twice.
-    """
-    try:
-        return json.loads(path.read_bytes(), object_pairs_hook=_each_key_once)
-    except FileNotFoundError as error:
-        raise ToolkitError(f"'{path}' is missing") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise ToolkitError(f"'{path}' is not readable JSON: {' '.join(str(error).split())}") from error
-
-
-def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    keys = [key for key, _ in pairs]
-    twice = next((key for key in keys if keys.count(key) > 1), None) if len(set(keys)) < len(keys) else None
-    if twice is not None:
-        raise ValueError(f"the key {_quoted(twice)} stands in it twice; remove one")
-    return dict(pairs)
 
 
 def _by_id(path: Path, what: str) -> dict[int, Any]:

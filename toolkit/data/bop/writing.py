@@ -36,7 +36,8 @@ def write_capture(
         folder: made when absent.
         current: RGB-D frames of the current scene.
         goal: the goal image.
-        truth: true objects in both scenes by instance id; without it no masks, poses and models are written.
+        truth: true objects in both scenes by instance id; without it no masks, poses and models are written. Masks are
+            written where all frames of a scene have them.
         only_current: objects that are not in the goal, by instance id.
         only_goal: objects that are not in the current scene, by instance id.
     """
@@ -45,11 +46,12 @@ def write_capture(
     then = {i: Placed(o.model, o.T_world_goal) for i, o in true.items()} | dict(only_goal or {})
     for name, frames, placed in (("current", current, now), ("goal", [goal], then)):
         scene = folder / name
-        for sub in ("rgb", "depth") if truth is None else ("rgb", "depth", "mask_visib"):
+        masked = truth is not None and all(frame.true_masks is not None for frame in frames)
+        for sub in ("rgb", "depth", "mask_visib") if masked else ("rgb", "depth"):
             (scene / sub).mkdir(parents=True, exist_ok=True)
         write_json(scene / "scene_camera.json", {str(f.index): _camera_json(f) for f in frames})
         for frame in frames:
-            _write_frame(scene, frame, list(placed))
+            _write_frame(scene, frame, list(placed) if masked else [])
         if truth is not None:
             write_json(scene / "scene_gt.json", {str(f.index): _poses_json(f, placed) for f in frames})
     if truth is not None:

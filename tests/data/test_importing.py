@@ -1,0 +1,680 @@
+"""Recordings of other tools, written with their libraries from a known capture, come in as that capture."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from written import edit, small_capture
+
+import toolkit
+from toolkit.data.bop import load_capture
+from toolkit.data.importing import IMPORTERS
+from toolkit.data.importing.choosing import Frames, find, spread
+from toolkit.data.importing.folders import picture
+from toolkit.data.importing.recorder import record_capture
+from toolkit.data.importing.recording import Recording, Shot
+from toolkit.data.importing.streams import Stream
+from toolkit.data.importing.trajectory import Trajectory
+from toolkit.data.importing.writing import Goal, import_capture
+from toolkit.errors import ToolkitError
+from toolkit.geometry import invert, make_transform, rotation_z
+from toolkit.plugin_kit.conformance.raycast import NOW, THEN, K
+from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, true_motion
+
+INTRINSICS = f"{K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}"
+FRAMES = (*current_frames(), goal_frame())
+GOAL = len(FRAMES) - 1
+GL = np.diag([1.0, -1.0, -1.0, 1.0])
+HAND_EYE = make_transform(Rotation.from_euler("xyz", [0.1, -0.2, 1.5]).as_matrix(), np.array([0.03, -0.01, 0.06]))
+"""Poses are written of a flange, so that the hand-eye transform is needed."""
+
+
+def quaternion(T) -> list[float]:
+    return [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat().tolist()]
+
+
+def told(T) -> str:
+    return " ".join(map(repr, quaternion(T)))
+
+
+def write_color(path: Path, frame) -> str:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), frame.rgb[..., ::-1])
+    return path.name
+
+
+def units(frame, per_metre: float):
+    """Depth as a camera stores it; a goal image has none."""
+    depth = np.zeros(frame.rgb.shape[:2]) if frame.depth is None else frame.depth.astype(np.float64)
+    return np.rint(depth * per_metre).astype(np.uint16)
+
+
+def write_depth(path: Path, frame, per_metre: float = 1000) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), units(frame, per_metre))
+
+
+def imported(kind, source, out, goal=str(GOAL), frames=None, **settings):
+    recording = IMPORTERS.create(kind, settings).read(source)
+    import_capture(recording, out, Goal(goal), Frames(frames))
+    return load_capture(out)
+
+
+def is_the_same(capture, depth_m: float, poses: float = 1e-9) -> None:
+    """Every pixel, pose and depth is the original's: pixels exactly, depth to half a unit of the file."""
+    assert [f.index for f in capture.current] == list(range(GOAL)) and capture.goal.index == GOAL
+    for frame, known in zip((*capture.current, capture.goal), FRAMES, strict=True):
+        np.testing.assert_array_equal(frame.rgb, known.rgb)
+        np.testing.assert_allclose(frame.camera.K, known.camera.K, atol=1e-9)
+        np.testing.assert_allclose(frame.camera.T_world_camera, known.camera.T_world_camera, atol=poses)
+        if frame.depth is not None:
+            np.testing.assert_allclose(frame.depth, known.depth, atol=depth_m / 2 + 1e-6)
+
+
+# TUM: three text files.
+
+
+@pytest.fixture
+def tum(tmp_path):
+    root = tmp_path / "tum"
+    rgb, depth, poses = ["# colour"], [], ["# time tx ty tz qx qy qz qw"]
+    for i, frame in enumerate(FRAMES):
+        rgb.append(f"{100 + i}.000 rgb/{write_color(root / f'rgb/{i}.png', frame)}")
+        write_depth(root / f"depth/{i}.png", frame, 5000)
+        depth.append(f"{100 + i}.010 depth/{i}.png")
+        poses.append(f"{100 + i}.000 {told(frame.camera.T_world_camera)}")
+    for name, lines in (("rgb", rgb), ("depth", depth), ("groundtruth", poses)):
+        (root / f"{name}.txt").write_text("\n".join(lines))
+    return root
+
+
+def test_tum(tum, tmp_path):
+    is_the_same(imported("tum", tum, tmp_path / "out", intrinsics=INTRINSICS), depth_m=1 / 5000)
+
+
+def test_tum_images_without_a_pose_or_depth_in_time_are_left_out(tum, tmp_path):
+    lines = (tum / "groundtruth.txt").read_text().replace("101.000", "101.030", 1)
+    (tum / "groundtruth.txt").write_text(lines)
+    (tum / "depth.txt").write_text((tum / "depth.txt").read_text().replace("102.010", "102.500"))
+    recording = IMPORTERS.create("tum", {"intrinsics": INTRINSICS}).read(tum)
+    assert [(s.index, s.has_depth) for s in recording.shots] == [(0, True), (2, False), (3, True), (4, True)]
+    assert recording.notes == ("1 images have no pose within 0.02 s: left out",)
+    import_capture(recording, tmp_path / "out", Goal("rgb/4.png"), Frames())
+    assert [f.index for f in load_capture(tmp_path / "out").current] == [0, 3]
+    with pytest.raises(ToolkitError, match="stamped by one clock"):
+        IMPORTERS.create("tum", {"intrinsics": INTRINSICS, "tolerance": 1e-9}).read(_shifted(tum))
+
+
+def _shifted(tum):
+    (tum / "groundtruth.txt").write_text((tum / "groundtruth.txt").read_text().replace("\n10", "\n20"))
+    return tum
+
+
+def test_poses_between_two_stamps_are_interpolated():
+    a, b = np.eye(4), make_transform(Rotation.from_euler("z", 1.0).as_matrix(), np.array([0.2, 0, 0]))
+    trajectory = Trajectory([2.0, 1.0], [b, a])
+    half = trajectory.at(1.5, 0.6)
+    np.testing.assert_allclose(half[:3, 3], [0.1, 0, 0])
+    np.testing.assert_allclose(Rotation.from_matrix(half[:3, :3]).as_euler("xyz"), [0, 0, 0.5], atol=1e-12)
+    assert trajectory.at(1.5, 0.4) is None
+    np.testing.assert_array_equal(trajectory.at(2.1, 0.2), b)
+    np.testing.assert_array_equal(trajectory.at(1.0, 0.2), a)
+
+
+# Open3D and Redwood.
+
+
+@pytest.fixture
+def open3d(tmp_path):
+    root = tmp_path / "open3d"
+    log = []
+    for i, frame in enumerate(FRAMES):
+        # Without padding: 10 comes after 9.
+        write_color(root / f"color/{i + 7}.png", frame)
+        write_depth(root / f"depth/{i + 7}.png", frame)
+        log += [f"{i} {i} {i + 1}", *(" ".join(map(repr, row)) for row in frame.camera.T_world_camera.tolist())]
+    (root / "scene").mkdir()
+    (root / "scene/trajectory.log").write_text("\n".join(log) + "\n")
+    stored = {"width": 320, "height": 240, "intrinsic_matrix": K.T.ravel().tolist()}
+    (root / "camera_intrinsic.json").write_text(json.dumps(stored))
+    return root
+
+
+def test_open3d(open3d, tmp_path):
+    is_the_same(imported("open3d", open3d, tmp_path / "out"), depth_m=1e-3)
+
+
+def test_open3d_says_what_is_missing(open3d, tmp_path):
+    (open3d / "camera_intrinsic.json").unlink()
+    with pytest.raises(ToolkitError, match="intrinsics=FX FY CX CY"):
+        imported("open3d", open3d, tmp_path / "out")
+    is_the_same(imported("open3d", open3d, tmp_path / "out", intrinsics=INTRINSICS), depth_m=1e-3)
+    (open3d / "depth/9.png").unlink()
+    with pytest.raises(ToolkitError, match="it has 5 and 4"):
+        imported("open3d", open3d, tmp_path / "other", intrinsics=INTRINSICS)
+
+
+# nerfstudio and Polycam: OpenGL's axes.
+
+
+@pytest.fixture
+def nerfstudio(tmp_path):
+    root = tmp_path / "nerf"
+    frames = []
+    for i, frame in enumerate(FRAMES):
+        entry = {"file_path": f"images/{write_color(root / f'images/f_{i}.png', frame)}"}
+        entry["transform_matrix"] = (frame.camera.T_world_camera @ GL).tolist()
+        if frame.depth is not None:
+            write_depth(root / f"depths/f_{i}.png", frame)
+            entry["depth_file_path"] = f"depths/f_{i}.png"
+        frames.append(entry)
+    camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2] + 0.5, "cy": K[1, 2] + 0.5, "w": 320, "h": 240}
+    (root / "transforms.json").write_text(json.dumps({"camera_model": "OPENCV", **camera, "k1": 0, "frames": frames}))
+    return root
+
+
+def test_nerfstudio(nerfstudio, tmp_path):
+    is_the_same(imported("nerfstudio", nerfstudio, tmp_path / "out", goal="f_4"), depth_m=1e-3)
+
+
+def test_nerfstudio_lens_scale_and_depth_of_low_resolution(nerfstudio, tmp_path):
+    def change(data):
+        data.update(k1=-0.1, p1=0.01, applied_scale=2.0)
+        for frame in data["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= 4
+        path = nerfstudio / data["frames"][0]["depth_file_path"]
+        small = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]
+        assert cv2.imwrite(str(path), small)
+
+    edit(nerfstudio / "transforms.json", change)
+    capture = imported("nerfstudio", nerfstudio, tmp_path / "out", scale=0.5)
+    for frame, known in zip(capture.current, FRAMES, strict=False):
+        np.testing.assert_allclose(frame.camera.T_world_camera, known.camera.T_world_camera, atol=1e-9)
+    straight = cv2.undistort(FRAMES[0].rgb, K, np.array([-0.1, 0, 0.01, 0]))
+    assert np.abs(capture.current[0].rgb.astype(int) - straight)[40:-40, 40:-40].mean() < 1
+    seen = capture.current[0].depth[100:140, 140:180]
+    assert (seen > 0).all() and abs(np.median(seen) - np.median(FRAMES[0].depth[100:140, 140:180])) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "undistort its pictures first"),
+        (lambda d: d.pop("fl_x"), "fl_x: Field required"),
+        (lambda d: d.update(w=300), "is 320x240, but its camera says 300x240"),
+        (lambda d: d["frames"][0].update(transform_matrix=np.diag([2.0, 1, 1, 1]).tolist()), "not rigid"),
+        (lambda d: d.pop("frames"), "lists no frames"),
+    ],
+)
+def test_nerfstudio_says_what_is_wrong(nerfstudio, tmp_path, change, said):
+    edit(nerfstudio / "transforms.json", change)
+    with pytest.raises(ToolkitError, match=said):
+        imported("nerfstudio", nerfstudio, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_polycam(tmp_path):
+    root = tmp_path / "polycam/keyframes"
+    (root / "corrected_cameras").mkdir(parents=True)
+    for i, frame in enumerate(FRAMES):
+        T = frame.camera.T_world_camera @ GL
+        camera = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "width": 320, "height": 240}
+        camera |= {f"t_{r}{c}": T[r, c] for r in range(3) for c in range(4)}
+        (root / f"corrected_cameras/{1000 + i}.json").write_text(json.dumps({**camera, "blur_score": 1.0}))
+        write_color(root / f"corrected_images/{1000 + i}.png", frame)
+        if frame.depth is not None:
+            write_depth(root / f"depth/{1000 + i}.png", frame)
+    is_the_same(imported("polycam", tmp_path / "polycam", tmp_path / "out", goal="1004"), depth_m=1e-3)
+
+
+# COLMAP, written by pycolmap.
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_colmap(tmp_path, binary):
+    pycolmap = pytest.importorskip("pycolmap")
+    root, model, scale = tmp_path / "colmap", pycolmap.Reconstruction(), 0.37
+    params = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, 0, 0, 0, 0]
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(model="OPENCV", width=320, height=240, params=params, camera_id=1)
+    )
+    for i, frame in enumerate(FRAMES):
+        T = invert(frame.camera.T_world_camera)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(T[:3, :3]), T[:3, 3] / scale)
+        image = pycolmap.Image(name=write_color(root / f"images/{i}.png", frame), camera_id=1, image_id=i + 1)
+        model.add_image_with_trivial_frame(image, pose)
+        if frame.depth is not None:
+            write_depth(root / f"depth/{i}.png", frame)
+    (root / "sparse/0").mkdir(parents=True)
+    (model.write_binary if binary else model.write_text)(str(root / "sparse/0"))
+    is_the_same(imported("colmap", root, tmp_path / "out", scale=scale), depth_m=1e-3)
+    with pytest.raises(ToolkitError, match="'scale'"):
+        IMPORTERS.create("colmap", {})
+
+
+# ROS, written by rosbags.
+
+STAMPS = [1_700_000_000_000_000_000 + i * 500_000_000 for i in range(len(FRAMES))]
+COLOR, DEPTH, INFO = "/cam/color/image_raw", "/cam/depth/image_raw", "/cam/color/camera_info"
+TOPICS = {"color": COLOR, "depth": DEPTH, "info": INFO}
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+LATE_NS = 3_000_000
+
+
+class Bag:
+    """A recording that is being written, of one of three formats."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self.first = kind == "bag"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.first else Stores.ROS2_HUMBLE)
+        if self.first:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_MESSAGE))
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        self.writer = Writer1(path) if self.first else Writer2(path, version=9, storage_plugin=plugin)
+        self.connections = {}
+
+    def __enter__(self):
+        self.writer.open()
+        return self
+
+    def __exit__(self, *_):
+        self.writer.close()
+
+    def make(self, name: str, *values, **named):
+        return self.store.types[name](*values, **named)
+
+    def header(self, ns: int, frame: str):
+        stamp = self.make("builtin_interfaces/msg/Time", ns // 10**9, ns % 10**9)
+        numbered = (0,) if self.first else ()
+        return self.make("std_msgs/msg/Header", *numbered, stamp, frame)
+
+    def write(self, topic: str, ns: int, name: str, message) -> None:
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, name, typestore=self.store)
+        serialize = self.store.serialize_ros1 if self.first else self.store.serialize_cdr
+        self.writer.write(self.connections[topic], ns, serialize(message, name))
+
+    def image(self, topic: str, ns: int, pixels, encoding: str, pad: int = 0) -> None:
+        data = pixels.reshape(len(pixels), -1).view(np.uint8)
+        data = np.pad(data, ((0, 0), (0, pad)))
+        header = self.header(ns, "optical")
+        message = self.make(
+            "sensor_msgs/msg/Image", header, *pixels.shape[:2], encoding, 0, data.shape[1], data.ravel()
+        )
+        self.write(topic, ns + LATE_NS, "sensor_msgs/msg/Image", message)
+
+    def camera(self, topic: str, ns: int) -> None:
+        roi = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+        P = np.hstack([K, np.zeros((3, 1))])
+        fields = [240, 320, "plumb_bob", np.zeros(5), K.ravel(), np.eye(3).ravel(), P.ravel(), 0, 0, roi]
+        message = self.make("sensor_msgs/msg/CameraInfo", self.header(ns, "optical"), *fields)
+        self.write(topic, ns, "sensor_msgs/msg/CameraInfo", message)
+
+    def pose(self, T):
+        at = self.make("geometry_msgs/msg/Point", *T[:3, 3].tolist())
+        return self.make("geometry_msgs/msg/Pose", at, self.make("geometry_msgs/msg/Quaternion", *quaternion(T)[3:]))
+
+    def transform(self, ns: int, parent: str, child: str, T):
+        at = self.make("geometry_msgs/msg/Vector3", *T[:3, 3].tolist())
+        turn = self.make("geometry_msgs/msg/Quaternion", *quaternion(T)[3:])
+        inner = self.make("geometry_msgs/msg/Transform", at, turn)
+        return self.make("geometry_msgs/msg/TransformStamped", self.header(ns, parent), child, inner)
+
+
+def flange(frame):
+    return frame.camera.T_world_camera @ invert(HAND_EYE)
+
+
+def write_pixels(bag: Bag) -> None:
+    for ns, frame in zip(STAMPS, FRAMES, strict=True):
+        bag.camera(INFO, ns)
+        bag.image(COLOR, ns, frame.rgb[..., ::-1].copy(), "bgr8", pad=4)
+        bag.image(DEPTH, ns + 2_000_000, units(frame, 1000), "16UC1")
+
+
+@pytest.fixture(params=["bag", "sqlite3", "mcap"])
+def bag(request, tmp_path):
+    pytest.importorskip("rosbags")
+    return Bag(tmp_path / ("ros.bag" if request.param == "bag" else "ros"), request.param)
+
+
+def test_ros_with_a_topic_of_poses_and_a_hand_eye_transform(bag, tmp_path):
+    with bag:
+        write_pixels(bag)
+        for ns, frame in zip(STAMPS, FRAMES, strict=True):
+            name = "geometry_msgs/msg/PoseStamped"
+            bag.write("/arm", ns, name, bag.make(name, bag.header(ns, "base"), bag.pose(flange(frame))))
+    settings = {**TOPICS, "pose": "/arm", "hand_eye": told(HAND_EYE)}
+    is_the_same(imported("ros", bag.writer.path, tmp_path / "out", **settings), depth_m=1e-3)
+    with pytest.raises(ToolkitError, match="hand_eye=X Y Z"):
+        imported("ros", bag.writer.path, tmp_path / "other", **TOPICS, pose="/arm")
+    with pytest.raises(
+        ToolkitError, match="nothing of the topic /cam/color/image_rw; did you mean '/cam/color/image_raw'"
+    ):
+        imported("ros", bag.writer.path, tmp_path / "other", **{**TOPICS, "color": "/cam/color/image_rw"})
+
+
+def test_ros_with_tf(bag, tmp_path):
+    """world <- base <- flange <- optical, the flange's transform told before and after each image."""
+    name = TF_MESSAGE
+    base = make_transform(rotation_z(0.7)[:3, :3], np.array([1.0, 0.5, 0.2]))
+    with bag:
+        write_pixels(bag)
+        for topic, parent, child, T in (
+            ("/tf_static", "world", "base", base),
+            ("/tf_static", "flange", "optical", HAND_EYE),
+        ):
+            bag.write(topic, STAMPS[0], name, bag.make(name, [bag.transform(0, parent, child, T)]))
+        for ns, frame in zip(STAMPS, FRAMES, strict=True):
+            for around in (-8_000_000, 8_000_000):
+                drift = make_transform(np.eye(3), np.array([around * 1e-10, 0, 0]))
+                moved = bag.transform(ns + around, "base", "flange", drift @ flange(frame))
+                bag.write("/tf", ns + around, name, bag.make(name, [moved]))
+    is_the_same(imported("ros", bag.writer.path, tmp_path / "out", **TOPICS, world="base"), depth_m=1e-3, poses=1e-7)
+    capture = imported("ros", bag.writer.path, tmp_path / "world", **TOPICS, world="world")
+    np.testing.assert_allclose(capture.goal.camera.T_world_camera, base @ goal_frame().camera.T_world_camera, atol=1e-7)
+    with pytest.raises(ToolkitError, match="no frame 'bse'; did you mean 'base'"):
+        imported("ros", bag.writer.path, tmp_path / "other", **TOPICS, world="bse")
+
+
+def test_ros_compressed_topics(tmp_path):
+    pytest.importorskip("rosbags")
+    name, pose_name = "sensor_msgs/msg/CompressedImage", "geometry_msgs/msg/TransformStamped"
+    with Bag(tmp_path / "ros", "mcap") as bag:
+        for ns, frame in zip(STAMPS, FRAMES, strict=True):
+            bag.camera(INFO, ns)
+            png = cv2.imencode(".png", frame.rgb[..., ::-1])[1]
+            bag.write(COLOR, ns, name, bag.make(name, bag.header(ns, "optical"), "bgr8; png compressed", png.ravel()))
+            depth = units(frame, 1000)
+            if ns == STAMPS[0]:  # floats, quantised in inverse depth
+                a, b = 10_000.0, 1.0
+                depth = np.where(depth > 0, np.rint(a / np.maximum(frame.depth, 0.5) + b), 0).astype(np.uint16)
+                said, head = "32FC1; compressedDepth png", struct.pack("<iff", 0, a, b)
+            else:
+                said, head = "16UC1; compressedDepth", bytes(12)
+            data = np.frombuffer(head + cv2.imencode(".png", depth)[1].tobytes(), np.uint8)
+            bag.write(DEPTH, ns, name, bag.make(name, bag.header(ns, "optical"), said, data))
+            bag.write("/eye", ns, pose_name, bag.transform(ns, "base", "optical", frame.camera.T_world_camera))
+    path, settings = bag.writer.path, {**TOPICS, "pose": "/eye", "hand_eye": "0 0 0 0 0 0 1"}
+    is_the_same(imported("ros", path, tmp_path / "out", **settings), depth_m=1e-3)
+
+
+def test_what_is_no_recording_of_ros_or_has_no_poses_is_named(tmp_path):
+    pytest.importorskip("rosbags")
+    (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0 but not really")
+    with Bag(tmp_path / "no_tf", "mcap") as bag:
+        write_pixels(bag)
+    with pytest.raises(ToolkitError, match="has no /tf; name a topic of poses"):
+        imported("ros", tmp_path / "no_tf", tmp_path / "out", **TOPICS)
+    (whole,) = (tmp_path / "no_tf").glob("*.mcap")
+    (tmp_path / "half.mcap").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    for source in ("x.bag", "nowhere", "half.mcap"):
+        with pytest.raises(ToolkitError, match="is no recording of ROS that can be read"):
+            imported("ros", tmp_path / source, tmp_path / "out")
+
+
+# RealSense, recorded by pyrealsense2 from a device of its own that has no hardware.
+
+
+@pytest.fixture(scope="module")
+def realsense(tmp_path_factory):
+    rs = pytest.importorskip("pyrealsense2")
+    path = tmp_path_factory.mktemp("realsense") / "recorded.db3"
+    device = rs.software_device()
+    sensors, profiles = [], []
+    for uid, (kind, format_, bytes_) in enumerate(
+        ((rs.stream.depth, rs.format.z16, 2), (rs.stream.color, rs.format.rgb8, 3))
+    ):
+        sensor = device.add_sensor(kind.name)
+        stream = rs.video_stream()
+        stream.type, stream.index, stream.uid, stream.fps, stream.bpp, stream.fmt = kind, 0, uid, 30, bytes_, format_
+        stream.width, stream.height = 320, 240
+        intrinsics = rs.intrinsics()
+        intrinsics.width, intrinsics.height, intrinsics.model, intrinsics.coeffs = (
+            320,
+            240,
+            rs.distortion.none,
+            [0.0] * 5,
+        )
+        intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+        stream.intrinsics = intrinsics
+        profiles.append(sensor.add_video_stream(stream).as_video_stream_profile())
+        sensors.append(sensor)
+    sensors[0].add_read_only_option(rs.option.depth_units, 1e-4)
+    same = rs.extrinsics()
+    same.rotation, same.translation = np.eye(3).ravel().tolist(), [0.0] * 3
+    profiles[0].register_extrinsics_to(profiles[1], same)
+    profiles[1].register_extrinsics_to(profiles[0], same)
+    recorder, syncer = rs.recorder(str(path), device), rs.syncer()
+    recorded = recorder.query_sensors()
+    for sensor, profile in zip(recorded, profiles, strict=True):
+        sensor.open(profile)
+        sensor.start(syncer)
+    for number, frame in enumerate(FRAMES):
+        depth = units(frame if frame.depth is not None else FRAMES[0], 1e4)
+        for sensor, profile, pixels in zip(sensors, profiles, (depth, frame.rgb), strict=True):
+            sent = rs.software_video_frame()
+            sent.pixels, sent.stride, sent.bpp = pixels, pixels.strides[0], pixels.strides[1]
+            sent.timestamp, sent.domain = 1e6 + 500.0 * number, rs.timestamp_domain.system_time
+            sent.frame_number, sent.profile, sent.depth_units = number, profile, 1e-4
+            sensor.on_video_frame(sent)
+    for sensor in recorded:
+        sensor.stop()
+        sensor.close()
+    del recorder, recorded, sensor
+    return path
+
+
+def seen_by_both(capture):
+    """Aligning widens what is near by a pixel; everywhere else, depth is as it was."""
+    for frame, known in zip(capture.current, FRAMES, strict=False):
+        assert (np.abs(frame.depth - known.depth) < 1e-4)[known.depth > 0].mean() > 0.9
+        np.testing.assert_array_equal(frame.rgb, known.rgb)
+        np.testing.assert_allclose(frame.camera.K, known.camera.K, atol=1e-4)
+        np.testing.assert_allclose(frame.camera.T_world_camera, known.camera.T_world_camera, atol=1e-9)
+
+
+def test_realsense(realsense, tmp_path):
+    lines = [f"{1000 + 0.5 * i} {told(flange(frame))}" for i, frame in enumerate(FRAMES)]
+    (tmp_path / "arm.txt").write_text("\n".join(lines))
+    settings = {"poses": str(tmp_path / "arm.txt"), "hand_eye": told(HAND_EYE)}
+    capture = imported("realsense", realsense, tmp_path / "out", **settings)
+    assert [f.index for f in capture.current] == [0, 1, 2, 3]
+    seen_by_both(capture)
+    (tmp_path / "arm.txt").write_text("\n".join(line.replace("100", "900", 1) for line in lines))
+    with pytest.raises(ToolkitError, match=r"its frames are stamped 1000\.000 s to 1002\.000 s"):
+        imported("realsense", realsense, tmp_path / "other", **settings)
+
+
+def test_record_takes_a_picture_for_every_pose(realsense, tmp_path, monkeypatch):
+    """The camera is a recording, whose every frame is taken."""
+    monkeypatch.setattr("toolkit.data.importing.recorder._STALE", 0)
+    lines = [f"{'goal ' if i == GOAL else ''}{told(flange(frame))}\n" for i, frame in enumerate(FRAMES)]
+    with Stream.of_file(realsense) as stream:
+        assert record_capture(_Paired(stream), [*lines, "\n"], HAND_EYE, tmp_path / "out") == 4
+    capture = load_capture(tmp_path / "out")
+    seen_by_both(capture)
+    np.testing.assert_array_equal(capture.goal.rgb, goal_frame().rgb)
+    for told_lines, said in (
+        (lines[:2], "got 0 and 2"),
+        (lines[-1:], "got 1 and 0"),
+        (["1 2 3"], "pose 0 must be"),
+        ([*lines, lines[0]], "the camera gave no frame for pose 5"),
+    ):
+        with Stream.of_file(realsense) as stream, pytest.raises(ToolkitError, match=said):
+            record_capture(_Paired(stream), told_lines, HAND_EYE, tmp_path / "other")
+    with Stream.of_file(realsense) as stream, pytest.raises(ToolkitError, match="is there already"):
+        record_capture(stream, lines, HAND_EYE, tmp_path / "out")
+
+
+class _Paired:
+    """Of a device that has no clock, sets of frames that are of one time."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream, self.pixels = stream, stream.pixels
+
+    def frames(self):
+        return (frames for frames in self._stream.frames() if self._stream.gap(frames) == 0)
+
+
+# A scene of a BOP dataset: truth and models come along.
+
+
+@pytest.fixture
+def bop(tmp_path):
+    """DATASET/test/000001 and 000002, the current and the goal scene of a capture, and DATASET/models."""
+    own = small_capture(tmp_path / "own")
+    for number, name in ((1, "current"), (2, "goal")):
+        scene = shutil.copytree(own / name, tmp_path / f"dataset/test/{number:06d}")
+        edit(scene / "scene_gt.json", lambda data: [e.pop("T_world_model") for image in data.values() for e in image])
+        edit(scene / "scene_gt.json", lambda data: [e.pop("inst_id") for image in data.values() for e in image])
+    (tmp_path / "dataset/models").mkdir()
+    shutil.copy(own / "models_info.json", tmp_path / "dataset/models/models_info.json")
+    return tmp_path / "dataset/test"
+
+
+def bop_pair(bop, out, **settings):
+    importer = IMPORTERS.create("bop", settings)
+    notes = import_capture(importer.read(bop / "000001"), out, Goal("0", importer.read(bop / "000002")), Frames())
+    return load_capture(out), notes
+
+
+def test_two_bop_scenes_of_the_same_objects_are_a_pair_with_truth(bop, tmp_path):
+    capture, notes = bop_pair(bop, tmp_path / "out")
+    original = load_capture(tmp_path / "own")
+    assert notes == () and sorted(capture.truth) == sorted(original.truth)
+    for instance, known in original.truth.items():
+        np.testing.assert_allclose(capture.truth[instance].T_goal_current, known.T_goal_current, atol=1e-9)
+        assert capture.truth[instance].model.name == known.model.name
+        np.testing.assert_array_equal(capture.truth[instance].model.box_size, known.model.box_size)
+    for frame, known in zip((*capture.current, capture.goal), (*original.current, original.goal), strict=True):
+        np.testing.assert_array_equal(frame.rgb, known.rgb)
+        np.testing.assert_allclose(frame.camera.T_world_camera, known.camera.T_world_camera, atol=1e-12)
+        assert frame.true_masks.keys() == known.true_masks.keys()
+        assert all((mask == known.true_masks[i]).all() for i, mask in frame.true_masks.items())
+        if frame.depth is not None:
+            np.testing.assert_array_equal(frame.depth, known.depth)
+
+
+def test_an_object_is_the_world_of_bop_scenes_that_have_none(bop, tmp_path):
+    """Object 3 then has not moved, and the others have, as seen from it."""
+    for scene in ("000001", "000002"):
+        edit(
+            bop / scene / "scene_camera.json", lambda data: [e.pop(f"cam_{k}_w2c") for e in data.values() for k in "Rt"]
+        )
+    with pytest.raises(ToolkitError, match="cam_R_w2c is missing"):
+        bop_pair(bop, tmp_path / "out")
+    capture, _ = bop_pair(bop, tmp_path / "out", world=3)
+    shift = {number: np.subtract(then[0], now[0]) for number, (now, then) in enumerate(zip(NOW, THEN, strict=True), 1)}
+    for number, true in capture.truth.items():
+        np.testing.assert_allclose(true.T_goal_current[:3, 3], shift[number] - shift[3], atol=1e-9)
+        np.testing.assert_allclose(true.T_goal_current[:3, :3], np.eye(3), atol=1e-9)
+
+
+def test_a_bop_scene_without_models_has_no_truth(bop, tmp_path):
+    shutil.rmtree(bop.parent / "models")
+    capture, notes = bop_pair(bop, tmp_path / "out")
+    assert capture.truth is None and capture.goal.true_masks is None
+    assert notes == ("scene_gt.json, mask_visib/ or models_info.json is not there: the capture has no truth",)
+
+
+# Which images are taken, and how they lie.
+
+
+def test_a_picture_is_turned_as_exif_says_only_where_its_camera_is(tmp_path):
+    rgb = FRAMES[0].rgb
+    stored = Image.fromarray(rgb)
+    exif = stored.getexif()
+    exif[0x0112] = 6  # the top of the scene is at the right
+    stored.save(tmp_path / "turned.png", exif=exif)
+    np.testing.assert_array_equal(picture(tmp_path / "turned.png", (240, 320)), rgb)
+    np.testing.assert_array_equal(picture(tmp_path / "turned.png", (320, 240)), np.rot90(rgb, -1))
+    with pytest.raises(ToolkitError, match="its size does not tell"):
+        picture(tmp_path / "turned.png")
+    with pytest.raises(ToolkitError, match="is 320x240, but its camera says 100x200"):
+        picture(tmp_path / "turned.png", (200, 100))
+
+
+def path_of(count: int) -> Recording:
+    """Shots on a straight path, each 1 cm on, that stands still at its end."""
+    places = [make_transform(np.eye(3), np.array([min(i, count // 2) / 100, 0, 0])) for i in range(count)]
+    shots = tuple(Shot(i, f"left/{i:04d}.png", T, has_depth=i % 10 != 9) for i, T in enumerate(places))
+    return Recording(shots, lambda chosen: [])
+
+
+def test_frames_are_spread_over_the_path_unless_they_are_named():
+    recording = path_of(100)
+    goal = find(recording, "0050")
+
+    def chosen(named=None, every=None):
+        return [shot.index for shot in Frames(named, every).choose(recording, goal)]
+
+    spaced = np.diff([min(i, 50) for i in chosen()])
+    assert len(chosen()) == 8 and spaced.min() >= 6 and spaced.max() <= 13
+    assert chosen("3,left/0007.png,0012") == [3, 7, 12]
+    assert chosen("95:") == [95, 96, 97, 98] and chosen(":3,5") == [0, 1, 2, 5]
+    assert chosen("10:40", 10) == [10, 21, 32]
+    assert 50 not in chosen("48:53")
+    with pytest.raises(ToolkitError, match="no image with depth is left"):
+        chosen("9,19")
+    with pytest.raises(ToolkitError, match="no image '101' in the recording; its images are 'left/0000"):
+        chosen("101")
+    standing = replace(recording, shots=recording.shots[60:80])
+    assert len(spread(standing.shots, 8)) == 1
+
+
+def test_a_goal_of_its_own_is_a_picture_from_a_known_place(tum, tmp_path):
+    recording = IMPORTERS.create("tum", {"intrinsics": INTRINSICS}).read(tum)
+    write_color(tmp_path / "goal.png", goal_frame())
+    with pytest.raises(ToolkitError, match="has no pose of its own; --goal-camera"):
+        import_capture(recording, tmp_path / "out", Goal(str(tmp_path / "goal.png")), Frames())
+    import_capture(recording, tmp_path / "out", Goal(str(tmp_path / "goal.png"), camera="0"), Frames(":4"))
+    capture = load_capture(tmp_path / "out")
+    np.testing.assert_array_equal(capture.goal.rgb, goal_frame().rgb)
+    np.testing.assert_allclose(capture.goal.camera.T_world_camera, FRAMES[0].camera.T_world_camera, atol=1e-9)
+    assert [f.index for f in capture.current] == [0, 1, 2, 3]
+    with pytest.raises(ToolkitError, match="is there already; name a new folder"):
+        import_capture(recording, tmp_path / "out", Goal("4"), Frames())
+
+
+@pytest.mark.parametrize(
+    ("kind", "module"), [("colmap", "pycolmap"), ("ros", "rosbags"), ("realsense", "pyrealsense2")]
+)
+def test_a_library_that_is_missing_is_named_with_its_extra(kind, module, tmp_path, monkeypatch):
+    for name in [name for name in sys.modules if name.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / "poses.txt").write_text("0 0 0 0 0 0 0 1")
+    (tmp_path / "file").touch()
+    settings = {"colmap": {"scale": 1.0}, "ros": {}, "realsense": {"poses": str(tmp_path / "poses.txt")}}[kind]
+    with pytest.raises(ToolkitError, match=rf"needs {module}: pip install 'rearrange-toolkit\[{kind}\]'"):
+        IMPORTERS.create(kind, settings).read(tmp_path / "file")
+
+
+def test_an_imported_capture_gives_the_motions_of_the_original(tum, tmp_path):
+    """From a folder of the TUM benchmark's layout, whose world is another one."""
+    T = make_transform(Rotation.from_euler("xyz", [1.2, 0.4, -2.0]).as_matrix(), np.array([0.4, -1.0, 2.0]))
+    poses = [f"{100 + i} {told(T @ frame.camera.T_world_camera)}" for i, frame in enumerate(FRAMES)]
+    (tum / "groundtruth.txt").write_text("\n".join(poses))
+    capture = imported("tum", tum, tmp_path / "out", intrinsics=INTRINSICS)
+    session = toolkit.Session("estimate")
+    session.database(capture.current)
+    found = [invert(T) @ e.T_goal_current @ T for e in session.estimate(capture.goal) if e.T_goal_current is not None]
+    off = np.array([[np.abs(motion - true_motion(number)).max() for motion in found] for number in (1, 2, 3)])
+    assert sorted(off.argmin(axis=0)) == [0, 1, 2] and off.min(axis=0).max() < 0.01

@@ -1,0 +1,36 @@
+"""Coloured points as PLY files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from toolkit.errors import ToolkitError
+from toolkit.files import write_bytes
+from toolkit.types import Float
+
+
+def write_cloud(path: Path, points: Float, colors: Float) -> None:
+    """Write (N, 3) points in metres with (N, 3) RGB colours, 0..255, as binary PLY: float32 x y z, uint8 colour."""
+    import trimesh
+
+    shown = np.clip(np.rint(colors), 0, 255).astype(np.uint8)
+    cloud = trimesh.PointCloud(np.asarray(points, np.float32), shown)
+    write_bytes(path, cast(bytes, cloud.export(file_type="ply")))
+
+
+def read_cloud(path: Path) -> tuple[Float, Float]:
+    """Read what `write_cloud` wrote: (N, 3) float32 points and (N, 3) float32 colours.
+
+    Raises:
+        ToolkitError: it is missing or damaged.
+    """
+    import trimesh
+
+    try:
+        cloud = cast(Any, trimesh.load(path, file_type="ply"))
+        return np.asarray(cloud.vertices, np.float32), np.asarray(cloud.colors, np.float32)[:, :3]
+    except (OSError, ValueError, AttributeError, IndexError, KeyError) as error:
+        raise ToolkitError(f"'{path}' is no PLY of coloured points, or cannot be read") from error
