@@ -142,10 +142,11 @@ def of_odd_width(scans):
 
 def with_many_faces(scans):
     mesh = loaded(scans)
-    mesh.visual = mesh.visual.to_color()
-    while len(mesh.faces) <= meshes._MOST_FACES:
-        mesh = mesh.subdivide()
-    mesh.export(scans / "box" / "a.ply")
+    places, faces, colors = mesh.vertices, mesh.faces, mesh.visual.to_color().vertex_colors.astype(float)
+    while len(faces) <= meshes._MOST_FACES:
+        places, faces, kept = trimesh.remesh.subdivide(places, faces, vertex_attributes={"color": colors})
+        colors = kept["color"]
+    trimesh.Trimesh(places, faces, vertex_colors=colors.astype(np.uint8), process=False).export(scans / "box" / "a.ply")
     only(scans, "a.ply")
 
 
