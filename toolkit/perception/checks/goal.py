@@ -32,6 +32,10 @@ _UNITS = tuple(
 
 def check_table(goal: Frame, table: Table) -> list[Finding]:
     """Compare a goal image with the table that the current frames show."""
+    return [replace(finding, shown="table") for finding in _compared(goal, table)]
+
+
+def _compared(goal: Frame, table: Table) -> list[Finding]:
     plans = bare_plans(table)
     own = between(plans)
     for how, axes in FLIPS.items() if _strange(own) > _STRANGE else ():

@@ -21,8 +21,10 @@ _DOUBT = 0.3
 
 def check_poses(sightings: Sequence[Sighting]) -> list[Finding]:
     """Compare the frames that see a table; with fewer than two there is nothing to compare."""
-    if len(sightings) < 2:
-        return []
+    return [replace(finding, shown="cameras") for finding in _compared(sightings)] if len(sightings) > 1 else []
+
+
+def _compared(sightings: Sequence[Sighting]) -> list[Finding]:
     poses = [sighting.frame.camera.T_world_camera for sighting in sightings]
     stated = agreement(sightings, poses)
     if stated.sound and stated.overlap > _LEAST_OVERLAP:
