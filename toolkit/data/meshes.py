@@ -37,7 +37,7 @@ _ALIGNED_PX = 4
 _ATLAS_PX, _LEAST_TILE, _MOST_TILE = 2048, 4, 64
 _GREY = (170, 170, 170)
 
-_VERSION = 3
+_VERSION = 4
 """Of what is written here: raise it when that changes."""
 
 
@@ -49,7 +49,7 @@ class Drawable:
         mesh: OBJ with texture coordinates; metres, z up.
         texture: the image it is painted with.
         hulls: convex collision meshes in the mesh's coordinates; empty where the scan brings none.
-        said: what was done to it, of which a person should know.
+        said: what was done to it, of which a person should know, each without its name.
     """
 
     mesh: Path
@@ -125,7 +125,7 @@ def drawable(scan: Scan, unit: Unit, cache: Path) -> Drawable:
     folder = make_once(cache / "objects" / "drawable" / key.hexdigest(), lambda to: _write(scan, T, to))
     said = (folder / "said.txt").read_text().splitlines()
     hulls = sorted(folder.glob("hull_*.stl"))
-    return Drawable(folder / "mesh.obj", folder / "texture.png", tuple(hulls), tuple(f"{scan.name} {s}" for s in said))
+    return Drawable(folder / "mesh.obj", folder / "texture.png", tuple(hulls), tuple(said))
 
 
 def _is_plain(mesh: Path, texture: Path) -> bool:
@@ -144,7 +144,7 @@ def _write(scan: Scan, T: Float, folder: Path) -> None:
     mesh, said = _load(scan.mesh), list[str]()
     picture = _picture(scan, mesh, said)
     if len(mesh.faces) > _MOST_FACES:
-        said.append(f"has {len(mesh.faces)} faces, of which {_MOST_FACES} are kept")
+        said.append(f"thinned out to {_MOST_FACES} faces, since the renderer draws no more")
         mesh, corners = _thinned(mesh, _vertex_colors(mesh, picture, said))
         picture = None
     else:
@@ -207,7 +207,7 @@ def _picture(scan: Scan, mesh: Any, said: list[str]) -> Pictures.Image | None:
     named = _image_of(mesh)
     if uv is None:
         if scan.texture is not None and mesh.visual.kind not in ("vertex", "face"):
-            said.append(f"has no texture coordinates: '{scan.texture.name}' is not used")
+            said.append(f"'{scan.texture.name}' is not used, since there are no texture coordinates")
         return None
     if named is not None:
         return named
@@ -234,7 +234,7 @@ def _vertex_colors(mesh: Any, picture: Pictures.Image | None, said: list[str]) -
         return pixels[height - 1 - at[:, 1].astype(int).clip(0, height - 1), at[:, 0].astype(int).clip(0, width - 1)]
     if mesh.visual.kind in ("vertex", "face"):
         return np.asarray(mesh.visual.vertex_colors[:, :3], np.uint8)
-    said.append("has no colours: it is grey")
+    said.append("drawn grey, since there are no colours")
     return np.full((len(mesh.vertices), 3), _GREY, np.uint8)
 
 

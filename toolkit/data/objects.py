@@ -24,6 +24,9 @@ from toolkit.types import Float, ObjectModel
 _DEFAULT_DENSITY_KG_M3 = 350.0
 _HULL_DIRECTIONS = 512
 
+_NAMED = 5
+"""Objects that a note names."""
+
 _TOUCHING, _BROADER = 0.02, 0.2
 """What is as near to the table, as a part of an object's size, stands on it; how much more of an outline is a base."""
 
@@ -87,13 +90,16 @@ def load_object_set(source: str, cache_dir: Path) -> ObjectSet:
     hasher = hashlib.sha256()
     assets: list[ObjectAsset] = []
     notes = [said] if said else []
+    done: dict[str, list[str]] = {}
     for object_id, scan in enumerate(scans, start=1):
         drawn = drawable(scan, scan.notes.unit or unit, cache_dir)
         hasher.update(f"{scan.name} {scan.notes.model_dump_json(exclude={'unit', 'up'})}".encode())
         for path in (drawn.mesh, drawn.texture, *drawn.hulls):
             hasher.update(hashlib.sha256(path.read_bytes()).digest())
         assets.append(_make_asset(scan, drawn, object_id, cache_dir / "objects" / "hulls"))
-        notes += drawn.said
+        for what in drawn.said:
+            done.setdefault(what, []).append(scan.name)
+    notes += [f"{_listed(names)}: {what}" for what, names in done.items()]
     name = source if source == "procedural" else folder.resolve().name
     if _looks_y_up(points) and all(scan.notes.up == "z" for scan in scans):
         notes.append(
@@ -101,6 +107,11 @@ def load_object_set(source: str, cache_dir: Path) -> ObjectSet:
             f'{{"*": {{"up": "y"}}}} in objects.json'
         )
     return ObjectSet(name, hasher.hexdigest(), tuple(assets), tuple(notes))
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
 
 
 def _looks_y_up(points: Sequence[Float]) -> bool:
