@@ -21,7 +21,7 @@ LAYERS = [
     {"digests", "registry", "models", "sim", "results"},
     {"data", "perception"},
     {"rearrangement", "stages", "pictures", "training"},
-    {"harness", "plugin_kit"},
+    {"harness", "plugin_kit", "serving"},
     {"cli"},
 ]
 """Parts of the package, from the ground up: one may import from those before it, and beside it without a circle."""
@@ -33,8 +33,8 @@ SHARED = {"tabletop", "checks"}
 """Folders that are no stages: what several stages are made of, and what captures are checked with."""
 
 HEAVY = {
-    *("cv2", "faiss", "jax", "joblib", "kornia", "matplotlib", "numpy", "onnxruntime", "pybullet"),
-    *("rerun", "scipy", "sklearn", "torch", "trimesh"),
+    *("cv2", "faiss", "fastapi", "jax", "joblib", "kornia", "matplotlib", "numpy", "onnxruntime", "pybullet"),
+    *("rerun", "scipy", "sklearn", "torch", "trimesh", "uvicorn"),
 }
 """What no command imports before it needs it: the budget of the start, without a clock."""
 

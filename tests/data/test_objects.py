@@ -91,9 +91,12 @@ def _first(folder, name):
 
 
 BAD = {
-    "no texture": (lambda f: _first(f, "texture_map.jpg").unlink(), "has no texture: put its image at"),
+    "no texture": (lambda f: _first(f, "texture_map.jpg").unlink(), "has no texture: put its image beside"),
     "no mesh": (lambda f: _first(f, "textured.obj").unlink(), "has no mesh: expected one of"),
-    "flat mesh": (lambda f: _first(f, "textured.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "is flat"),
+    "flat mesh": (
+        lambda f: _first(f, "textured.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n"),
+        "is flat",
+    ),
     "words for numbers": (lambda f: _first(f, "textured.obj").write_text("v a b c\n"), "not three numbers"),
     "not finite": (lambda f: _first(f, "textured.obj").write_text("v nan 0 0\n"), "not finite"),
     "unknown symmetry": (

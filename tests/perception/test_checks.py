@@ -125,6 +125,26 @@ def test_cam_K_of_half_the_size_is_refused():
     assert "half the size" in finding.sentence
 
 
+@pytest.mark.parametrize(("how", "axes"), [("mirrored left to right", 1), ("upside down", (0, 1))])
+def test_images_that_were_flipped_for_people_are_refused_by_name(how, axes):
+    def flipped(frame, *fields):
+        return replace(frame, **{name: np.ascontiguousarray(np.flip(getattr(frame, name), axes)) for name in fields})
+
+    finding = only(check_current([flipped(frame, "depth") for frame in frames()]))
+    assert (finding.severity, how in finding.sentence) == ("refused", True)
+    finding = only(check_current([flipped(frame, "depth", "rgb") for frame in frames()]))
+    assert (finding.severity, how in finding.sentence) == ("refused", True)
+    # From all around, a table that is as symmetric as this one would be itself in a mirror.
+    uneven = [shoot(i, camera(angle), NOW, print_contrast=0.9) for i, angle in enumerate((-90, -70, -20, 10, 60))]
+    assert check_goal(goal(), uneven) == []
+    colours = [flipped(frame, "rgb") for frame in uneven]
+    for seen in (goal(), flipped(goal(), "rgb")):
+        finding = only(check_goal(seen, colours))
+        assert (finding.severity, f"the current colour images are {how}" in finding.sentence) == ("refused", True)
+    finding = only(check_goal(flipped(goal(), "rgb"), frames()))
+    assert (finding.severity, f"the goal image is {how}" in finding.sentence) == ("refused", True)
+
+
 @pytest.mark.parametrize("off", ["focal", "center", "depth"])
 def test_frames_that_contradict_each_other_are_doubted(off):
     if off == "depth":

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.pictures.drawing import INLIER, correspondences
+from toolkit.pictures.drawing import INLIER, correspondences, overlay, with_legend
+from toolkit.types import Camera, Frame
 
 SIZES = {"as large": (480, 640), "half": (240, 320), "portrait": (1920, 1080), "odd": (333, 101), "tiny": (2, 3)}
 
@@ -31,3 +32,28 @@ def test_a_line_ends_where_its_pixel_is_after_scaling():
     drawn = np.argwhere(picture[:, 300:, 1] > INLIER[1] // 2)
     # Twice as large, at the right of the goal; the circle around the end is two pixels wide.
     assert np.abs(drawn - [300.5, 100.5]).max(axis=1).min() <= 2 and (drawn[:, 1] < 104).all()
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_labels_are_as_large_a_part_of_a_large_picture(factor):
+    def written(scale):
+        width, height = 640 * scale, 480 * scale
+        K = np.array([[600.0 * scale, 0, width / 2], [0, 600.0 * scale, height / 2], [0, 0, 1]])
+        goal = Frame(0, np.zeros((height, width, 3), np.uint8), Camera(K, np.eye(4), width, height))
+        mask = np.zeros((height, width), bool)
+        mask[200 * scale : 280 * scale, 280 * scale : 360 * scale] = True
+        picture = overlay(goal, [], [("3: #1 withheld", mask, (255, 0, 0))])
+        # What is drawn above the object is its label.
+        return np.ptp(np.argwhere(picture[: 198 * scale].any(axis=2)), axis=0)
+
+    np.testing.assert_allclose(written(factor) / factor, written(1), rtol=0.1)
+
+
+@pytest.mark.parametrize("size", [(240, 320), (1080, 1920), (1920, 1080)])
+def test_a_long_sentence_is_folded_beneath_a_picture(size):
+    picture = np.zeros((*size, 3), np.uint8)
+    sentence = " ".join(["the current frames contradict each other"] * 4)
+    lines = [with_legend(picture, [(text, (255, 255, 255))])[size[0] :] for text in ("one", sentence)]
+    assert lines[1].shape[0] > lines[0].shape[0]
+    # Nothing is cut: the last columns stay empty.
+    assert (lines[1][:, -4:] == lines[1][0, 0]).all()

@@ -88,15 +88,20 @@ def evaluate(
 def check(
     capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
     masks: Annotated[Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder.")] = None,
+    out: OutOption = None,
 ) -> None:
     """Say what is wrong with a capture: poses, units, axes, cam_K, depth, light, and whether the goal fits."""
     progress = bars()
     with progress.waiting("Checking"):
         from toolkit.data.bop import load_capture
+        from toolkit.harness.runs import writable
         from toolkit.perception.checks.capture import check_capture, refuse
+        from toolkit.pictures.findings import illustrated
 
         loaded = load_capture(capture, masks)
-        findings = check_capture(loaded)
+        folder = out or Path("runs") / "check" / capture.resolve().name
+        with writable(f"'{folder}'"):
+            findings = illustrated(folder, loaded.current, loaded.goal, check_capture(loaded))
     say(*loaded.notes)
     refuse(findings)
     say(*(f"{finding.severity}: {finding.sentence}" for finding in findings))

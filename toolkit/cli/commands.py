@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from toolkit import __version__
-from toolkit.cli import captures, data, inspect, plugins, results, run, train, weights
+from toolkit.cli import captures, data, inspect, plugins, results, run, serve, train, weights
 from toolkit.errors import ToolkitError
 
 app = typer.Typer(
@@ -18,7 +18,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for group in (run, captures, results, inspect, plugins, train, data, weights):
+for group in (run, captures, serve, results, inspect, plugins, train, data, weights):
     app.add_typer(group.app)
 
 

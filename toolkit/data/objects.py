@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
+from toolkit.data.meshes import Drawable, drawable, read_points, unit_of
 from toolkit.data.procedural import procedural_folder
 from toolkit.data.scans import Scan, Symmetry, find_scans
 from toolkit.errors import ToolkitError
@@ -23,6 +23,12 @@ from toolkit.types import Float, ObjectModel
 # Household objects are hollow or soft: about a third of the weight of water for what their hull encloses.
 _DEFAULT_DENSITY_KG_M3 = 350.0
 _HULL_DIRECTIONS = 512
+
+_NAMED = 5
+"""Objects that a note names."""
+
+_TOUCHING, _BROADER = 0.02, 0.2
+"""What is as near to the table, as a part of an object's size, stands on it; how much more of an outline is a base."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +62,13 @@ class ObjectSet:
         name: `procedural`, or the folder's name.
         digest: sha256 hex of every file's bytes and of what is said about the objects.
         assets: sorted by name.
+        notes: what was taken for granted or done to them, in sentences.
     """
 
     name: str
     digest: str
     assets: tuple[ObjectAsset, ...]
+    notes: tuple[str, ...] = ()
 
 
 def load_object_set(source: str, cache_dir: Path) -> ObjectSet:
@@ -76,19 +84,55 @@ def load_object_set(source: str, cache_dir: Path) -> ObjectSet:
     """
     folder = procedural_folder(cache_dir / "objects") if source == "procedural" else Path(source).expanduser()
     scans = find_scans(folder)
+    points = [read_points(scan.mesh) for scan in scans]
+    unit, said = unit_of([float(np.ptp(own, axis=0).max(initial=0)) for own in points], str(folder))
+    said = said if any(scan.notes.unit is None for scan in scans) else None
     hasher = hashlib.sha256()
     assets: list[ObjectAsset] = []
+    notes = [said] if said else []
+    done: dict[str, list[str]] = {}
     for object_id, scan in enumerate(scans, start=1):
-        hasher.update(f"{scan.name} {scan.notes.model_dump_json()}".encode())
-        for path in (scan.mesh, scan.texture, *scan.hulls):
+        drawn = drawable(scan, scan.notes.unit or unit, cache_dir)
+        hasher.update(f"{scan.name} {scan.notes.model_dump_json(exclude={'unit', 'up'})}".encode())
+        for path in (drawn.mesh, drawn.texture, *drawn.hulls):
             hasher.update(hashlib.sha256(path.read_bytes()).digest())
-        assets.append(_make_asset(scan, object_id, cache_dir / "objects" / "hulls"))
+        assets.append(_make_asset(scan, drawn, object_id, cache_dir / "objects" / "hulls"))
+        for what in drawn.said:
+            done.setdefault(what, []).append(scan.name)
+    notes += [f"{_listed(names)}: {what}" for what, names in done.items()]
     name = source if source == "procedural" else folder.resolve().name
-    return ObjectSet(name, hasher.hexdigest(), tuple(assets))
+    if _looks_y_up(points) and all(scan.notes.up == "z" for scan in scans):
+        notes.append(
+            f"most objects of '{folder}' stand with y up, not z: if that is meant, say "
+            f'{{"*": {{"up": "y"}}}} in objects.json'
+        )
+    return ObjectSet(name, hasher.hexdigest(), tuple(assets), tuple(notes))
 
 
-def _make_asset(scan: Scan, object_id: int, hull_cache: Path) -> ObjectAsset:
-    vertices = _read_vertices(scan.mesh)
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
+
+
+def _looks_y_up(points: Sequence[Float]) -> bool:
+    """Whether far more objects have a base at the low end of y than at that of z."""
+    broader = np.array([_base(own, 1) - _base(own, 2) for own in points])
+    return int((broader > _BROADER).sum()) > 2 * int((broader < -_BROADER).sum())
+
+
+def _base(points: Float, axis: int) -> float:
+    """What part of its outline, seen along an axis, an object touches the table with, at that axis' low end."""
+    across = np.delete(points, axis, axis=1)
+    height = points[:, axis] - points[:, axis].min()
+    try:
+        touching = ConvexHull(across[height < _TOUCHING * np.ptp(points, axis=0).max()]).volume
+        return float(touching / ConvexHull(across).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
+def _make_asset(scan: Scan, drawn: Drawable, object_id: int, hull_cache: Path) -> ObjectAsset:
+    vertices = read_points(drawn.mesh)
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError) as error:
@@ -96,8 +140,8 @@ def _make_asset(scan: Scan, object_id: int, hull_cache: Path) -> ObjectAsset:
     extreme = vertices[hull.vertices]
     model = _make_model(object_id, scan.name, extreme, scan.notes.symmetry)
     mass = scan.notes.mass_kg or _DEFAULT_DENSITY_KG_M3 * hull.volume
-    hulls = scan.hulls or (_write_hull(extreme, hull_cache),)
-    return ObjectAsset(scan.name, scan.notes.category, scan.mesh, scan.texture, hulls, mass, model)
+    hulls = drawn.hulls or (_write_hull(extreme, hull_cache),)
+    return ObjectAsset(scan.name, scan.notes.category, drawn.mesh, drawn.texture, hulls, mass, model)
 
 
 def _make_model(object_id: int, name: str, points: Float, symmetry: Symmetry) -> ObjectModel:
@@ -115,18 +159,6 @@ def _make_model(object_id: int, name: str, points: Float, symmetry: Symmetry) ->
         discrete_symmetries=half_turn[None] if symmetry == "discrete_z_180" else np.zeros((0, 4, 4)),
         continuous_axes=np.array([[0, 0, 1, *center]]) if symmetry == "continuous_z" else np.zeros((0, 6)),
     )
-
-
-def _read_vertices(mesh: Path) -> Float:
-    """(V, 3) float64 positions. Parsing nothing but the `v` lines keeps loading a set of scans at about a second."""
-    lines = re.findall(rb"^v[ \t]+(.+)$", mesh.read_bytes(), re.MULTILINE)
-    try:
-        vertices = np.loadtxt(BytesIO(b"\n".join(lines)), usecols=(0, 1, 2), ndmin=2)
-    except ValueError as error:
-        raise ToolkitError(f"mesh '{mesh}' has a vertex line that is not three numbers; export it again") from error
-    if not np.isfinite(vertices).all():
-        raise ToolkitError(f"mesh '{mesh}' has a vertex that is not finite; export it again")
-    return vertices
 
 
 def _write_hull(points: Float, folder: Path) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolkit.data.dataset import build_dataset, cached_dataset, read_dataset
+from toolkit.data.dataset import build_dataset, cached_dataset, object_set, read_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.errors import ToolkitError
 from toolkit.parallel import Workers, open_workers
@@ -98,7 +98,9 @@ def open_dataset(
         return _existing(settings, wanted)
     config = TabletopConfig.model_validate(settings)
     scenes = [i for i in range(config.scenes) if wanted(i)]
-    with (progress or Progress()).step("Building scenes", len(scenes)) as advance:
+    progress = progress or Progress()
+    _say_notes(config, cache, progress)
+    with progress.step("Building scenes", len(scenes)) as advance:
         folder = cached_dataset(config, cache, workers, _each(advance), scenes)
     made = json.loads((folder / "dataset.json").read_text())
     return Dataset({i: folder / f"{i:06d}" for i in scenes}, made)
@@ -133,8 +135,14 @@ def build_tabletop(settings: Mapping[str, Any], out: Path, workers: int, progres
         ToolkitError: as `toolkit.data.dataset.build_dataset`.
     """
     config = validated(TabletopConfig, dict(settings), "dataset")
+    _say_notes(config, cache_root(), progress)
     with open_workers(workers, say=progress.say) as opened, progress.step("Building scenes", config.scenes) as advance:
         build_dataset(config, out.absolute(), cache_root(), opened, _each(advance))
+
+
+def _say_notes(config: TabletopConfig, cache: Path, progress: Progress) -> None:
+    for note in object_set(config.objects, cache).notes:
+        progress.say(note)
 
 
 def _each(advance: Advance) -> Callable[[int, int], None]:

@@ -21,6 +21,7 @@ from toolkit.data.scenery.clutter import draw_clutter
 from toolkit.data.scenery.props import AWAY
 from toolkit.data.sensors import measure_depth
 from toolkit.data.table import table_files, table_prop
+from toolkit.errors import ToolkitError
 from toolkit.sim.client import Client
 from toolkit.sim.shading import Lamp, ShadowMap, Surface, draw_lamps, mirror_lamps
 from toolkit.sim.world import Light, World
@@ -39,13 +40,25 @@ def build_scene(config: TabletopConfig, objects: ObjectSet, number: int, folder:
     The same settings and number give the same files, in any order and on any number of workers.
 
     Raises:
-        ToolkitError: as `draw_scene`; the renderer does not load here.
+        ToolkitError: as `draw_scene`; the renderer does not load here, or leaves out an object.
     """
     scene = draw_scene(config, objects, number, cache)
     with Studio(scene, cache) as studio:
         goal = studio.goal()
         current = studio.current(scene.current)
+    _require_drawn(scene, [goal, *current])
     write_capture(folder, current, goal, scene.truth, scene.only_current, scene.only_goal)
+
+
+def _require_drawn(scene: TabletopScene, frames: Sequence[Frame]) -> None:
+    """Every object has a pixel in some picture: the renderer leaves out, without a word, what is too much for it."""
+    drawn = {i for frame in frames for i in frame.true_masks or {}}
+    for i, asset in enumerate([*scene.assets, *(asset for asset, _ in scene.goal_only)]):
+        if i not in drawn:
+            raise ToolkitError(
+                f"scene {scene.number}: object '{asset.name}' shows in no picture: the renderer cannot draw its mesh "
+                f"'{asset.mesh}'; export it again with fewer faces, or ask for fewer objects with dataset.max_objects"
+            )
 
 
 class Studio:

@@ -12,8 +12,9 @@ from toolkit.data.dataset import read_dataset
 from toolkit.harness.experiment import Cell
 from toolkit.harness.runs import writable
 from toolkit.harness.session import Session
-from toolkit.perception.checks.capture import RefusedError
+from toolkit.perception.checks.capture import RefusedError, refuse
 from toolkit.perception.database import Database
+from toolkit.pictures.findings import illustrated
 from toolkit.pictures.poses import missing_instances, write_poses
 from toolkit.progress import Progress
 from toolkit.results.folder import ROWS, SUMMARY
@@ -108,13 +109,20 @@ def _load(folder: Path, progress: Progress, masks: Path | None = None) -> Captur
 
 def _estimate(capture: Capture, session: Session, out: Path, progress: Progress) -> Answer:
     progress.now("Looking at the current frames")
-    session.database(capture.current)
-    progress.now("Looking for the motions towards the goal")
-    estimates = session.estimate(capture.goal)
-    for finding in session.findings:
+    try:
+        session.database(capture.current)
+        progress.now("Looking for the motions towards the goal")
+        estimates = session.estimate(capture.goal)
+    except RefusedError:
+        with writable(f"'{out}'"):
+            refuse(illustrated(out, capture.current, capture.goal, session.findings))
+        raise
+    with writable(f"'{out}'"):
+        findings = illustrated(out, capture.current, capture.goal, session.findings)
+    for finding in findings:
         progress.say(f"{capture.name}: {finding.severity}: {finding.sentence}")
     progress.now("Writing")
-    answer = Answer(estimates, session.scene.database, session.findings)
+    answer = Answer(estimates, session.scene.database, findings)
     with writable(f"'{out}'"):
         write_poses(out, capture, answer.database, estimates, answer.findings)
     return answer

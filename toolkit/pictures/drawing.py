@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -21,10 +22,60 @@ _SHIFT = 4
 """Fractional bits of OpenCV's sub-pixel drawing."""
 
 _TINT = 0.35
-_FONT, _FONT_SIZE, _LINE_PX, _MARGIN_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.48, 20, 8
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
 _PLATE = (24, 24, 28)
 _SPLAT_RADIUS_PX = 3
 _MAX_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class _Lettering:
+    """How large letters and lines are: as on a picture of 640x480, and larger on a larger one, never smaller.
+
+    Attributes:
+        scale: 1 on 640x480.
+    """
+
+    scale: float
+
+    @staticmethod
+    def of(picture: Image) -> _Lettering:
+        """That of a picture, by its shorter side."""
+        return _Lettering(max(1.0, min(picture.shape[:2]) / 480))
+
+    def px(self, pixels: float) -> int:
+        """A length on 640x480, on this picture."""
+        return round(pixels * self.scale)
+
+    @property
+    def line_px(self) -> int:
+        """From one line of text to the next."""
+        return self.px(20)
+
+    @property
+    def margin_px(self) -> int:
+        """Beside and below text."""
+        return self.px(8)
+
+    def size(self, text: str) -> tuple[int, int, int]:
+        """Width, height above the base line, and depth below it, pixels."""
+        (width, height), base = cv2.getTextSize(text, _FONT, 0.48 * self.scale, self.px(1))
+        return width, height, base
+
+    def write(self, picture: Image, text: str, at: tuple[int, int], color: Color) -> None:
+        """Write text in place; `at` is where its base line begins."""
+        cv2.putText(picture, text, at, _FONT, 0.48 * self.scale, color, self.px(1), cv2.LINE_AA)
+
+    def fold(self, text: str, width_px: int) -> list[str]:
+        """Lines of whole words, as wide as they may be."""
+        lines = [""]
+        for word in text.split():
+            longer = f"{lines[-1]} {word}".lstrip()
+            if lines[-1] and self.size(longer)[0] > width_px:
+                lines.append(word)
+            else:
+                lines[-1] = longer
+        return lines
 
 
 def overlay(
@@ -40,7 +91,7 @@ def overlay(
     Returns:
         (H, W, 3) uint8.
     """
-    picture = goal.rgb.copy()
+    picture, letters = goal.rgb.copy(), _Lettering.of(goal.rgb)
     drawn = [(label, _silhouette(goal, points), color) for label, points, color in outlines]
     for label, mask, color in masks:
         picture[mask] = np.rint((1 - _TINT) * picture[mask] + _TINT * np.array(color)).astype(np.uint8)
@@ -48,44 +99,48 @@ def overlay(
         drawn.append((label, [np.asarray(c, np.int32) for c in contours], color))
     drawn = [entry for entry in drawn if entry[1]]
     for _, contours, color in drawn:
-        cv2.polylines(picture, contours, True, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.polylines(picture, contours, True, color, 2, cv2.LINE_AA)
+        cv2.polylines(picture, contours, True, (0, 0, 0), letters.px(4), cv2.LINE_AA)
+        cv2.polylines(picture, contours, True, color, letters.px(2), cv2.LINE_AA)
     taken: list[tuple[int, int, int, int]] = []
     for label, contours, color in drawn:
-        center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken)
-        taken.append(_plate(picture, label, center))
-        write_label(picture, label, center, color)
+        center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken, letters)
+        taken.append(_plate(picture, label, center, letters))
+        _write_label(picture, label, center, color, letters)
     return picture
 
 
 def _free_place(
-    picture: Image, label: str, box: Sequence[int], taken: Sequence[tuple[int, int, int, int]]
+    picture: Image, label: str, box: Sequence[int], taken: Sequence[tuple[int, int, int, int]], letters: _Lettering
 ) -> tuple[int, int]:
     """Where a label covers no other one: above what it names, below it, or further down."""
     x, y, w, h = box
-    places = [(x + w // 2, y - 6), *((x + w // 2, y + h + 14 + _LINE_PX * k) for k in range(4))]
+    below = y + h + letters.px(14)
+    places = [(x + w // 2, y - letters.px(6)), *((x + w // 2, below + letters.line_px * k) for k in range(4))]
     for place in places:
-        left, top, right, bottom = _plate(picture, label, place)
+        left, top, right, bottom = _plate(picture, label, place, letters)
         if not any(left < x1 and x0 < right and top < y1 and y0 < bottom for x0, y0, x1, y1 in taken):
             return place
     return places[0]
 
 
 def with_legend(picture: Image, entries: Sequence[tuple[str, Color]]) -> Image:
-    """The picture on top of lines of text, each in its colour, as many beside each other as fit."""
-    width, rows = picture.shape[1], list[list[tuple[str, Color, int]]]()
+    """The picture on top of texts, each in its colour, as many beside each other as fit; long ones are folded."""
+    letters = _Lettering.of(picture)
+    margin, width = letters.margin_px, picture.shape[1]
+    lines = [(line, color) for entry, color in entries for line in letters.fold(entry, width - 2 * margin)]
+    rows = list[list[tuple[str, Color, int]]]()
     x = width
-    for text, color in entries:
-        wide = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)[0][0] + 2 * _MARGIN_PX
+    for text, color in lines:
+        wide = letters.size(text)[0] + 2 * margin
         if x + wide > width:
             rows.append([])
             x = 0
         rows[-1].append((text, color, x))
         x += wide
-    strip = np.full((_LINE_PX * len(rows) + _MARGIN_PX, width, 3), _PLATE, np.uint8)
+    strip = np.full((letters.line_px * len(rows) + margin, width, 3), _PLATE, np.uint8)
     for number, row in enumerate(rows, start=1):
         for text, color, x in row:
-            cv2.putText(strip, text, (x + _MARGIN_PX, _LINE_PX * number), _FONT, _FONT_SIZE, color, 1, cv2.LINE_AA)
+            letters.write(strip, text, (x + margin, letters.line_px * number), color)
     return np.vstack([picture, strip])
 
 
@@ -143,10 +198,12 @@ def correspondences(
                 # Pixel centres: (0, 0) stays the centre of the first pixel after scaling.
                 end = (frame_xy[i] + 0.5) * scale - 0.5 + [width, top]
                 _line(picture, goal_xy[i], end, color)
+    letters = _Lettering.of(goal_rgb)
     for row, index in enumerate(best):
-        write_label(picture, f"frame {index}", (width + 34, row * tile_height + 18), (255, 255, 255))
+        at = (width + letters.px(34), row * tile_height + letters.px(18))
+        _write_label(picture, f"frame {index}", at, (255, 255, 255), letters)
     counted = f"goal: {int(inliers.sum())} inliers of {len(inliers)}"
-    write_label(picture, counted, (110, 18), (255, 255, 255))
+    _write_label(picture, counted, (letters.px(110), letters.px(18)), (255, 255, 255), letters)
     return picture
 
 
@@ -170,17 +227,17 @@ def _line(picture: Image, start: Float, end: Float, color: Color) -> None:
         cv2.circle(picture, point, 2 << _SHIFT, color, 1, cv2.LINE_AA, _SHIFT)
 
 
-def write_label(picture: Image, text: str, center: tuple[int, int], color: Color) -> None:
+def _write_label(picture: Image, text: str, center: tuple[int, int], color: Color, letters: _Lettering) -> None:
     """Write text centred at a pixel on a dark plate, in place, kept inside the picture."""
-    left, top, right, bottom = _plate(picture, text, center)
+    left, top, right, bottom = _plate(picture, text, center, letters)
     cv2.rectangle(picture, (left, top), (right, bottom), _PLATE, -1)
-    base = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)[1]
-    cv2.putText(picture, text, (left + 4, bottom - base - 1), _FONT, _FONT_SIZE, color, 1, cv2.LINE_AA)
+    letters.write(picture, text, (left + letters.px(4), bottom - letters.size(text)[2] - 1), color)
 
 
-def _plate(picture: Image, text: str, center: tuple[int, int]) -> tuple[int, int, int, int]:
+def _plate(picture: Image, text: str, center: tuple[int, int], letters: _Lettering) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of a label's plate, pixels."""
-    (width, height), base = cv2.getTextSize(text, _FONT, _FONT_SIZE, 1)
+    width, height, base = letters.size(text)
     x = int(np.clip(center[0] - width // 2, 3, max(3, picture.shape[1] - width - 3)))
     y = int(np.clip(center[1], height + 3, max(height + 3, picture.shape[0] - base - 3)))
-    return x - 4, y - height - 4, x + width + 4, y + base + 1
+    around = letters.px(4)
+    return x - around, y - height - around, x + width + around, y + base + 1

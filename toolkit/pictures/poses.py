@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import cv2
@@ -102,7 +101,6 @@ _COLORS: dict[str, Color] = {
     "unknown": _UNKNOWN,
 }
 _PLAIN: Color = (225, 225, 225)
-_LETTER_PX = 10
 LEGEND: dict[str, Color] = {
     f"sure (over {SURE:.0%})": _SURE,
     "doubtful: look at it": _DOUBTFUL,
@@ -147,10 +145,8 @@ def overlay_picture(
     picture = overlay(capture.goal, outlines, masks)
     missing = missing_instances(database, estimates)
     absent = [f"not seen in the goal: {', '.join(f'#{i}' for i in missing)}"] if missing else []
-    said = [line for f in findings for line in wrap(f"{f.severity}: {f.sentence}", picture.shape[1] // _LETTER_PX)]
-    return with_legend(
-        picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent), *((line, _DOUBTFUL) for line in said)]
-    )
+    said = [(f"{finding.severity}: {finding.sentence}", _DOUBTFUL) for finding in findings]
+    return with_legend(picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent), *said])
 
 
 def missing_instances(database: Database, estimates: Sequence[PoseEstimate]) -> list[int]:

@@ -26,22 +26,31 @@ def in_words(estimate: PoseEstimate) -> str:
     return "sure" if estimate.confidence > SURE else "doubtful"
 
 
-def motions(estimates: Sequence[PoseEstimate], points: Sequence[Float | None]) -> Table:
-    """One row per goal object.
+COLUMNS = ("object", "instance", "answer", "confidence", "moves", "turns")
+
+
+def rows(estimates: Sequence[PoseEstimate], points: Sequence[Float | None]) -> Iterator[tuple[str, ...]]:
+    """The `COLUMNS` of every goal object, in words.
 
     Args:
         estimates: of one capture.
         points: for each, the (N, 3) world points of its instance, or None; they say how far it moves, on average.
     """
-    table = Table("object", "instance", "answer", "confidence", "moves", "turns", box=SIMPLE_HEAD)
     for estimate, own in zip(estimates, points, strict=True):
-        table.add_row(
+        yield (
             str(estimate.goal_object),
             "" if estimate.instance is None else f"#{estimate.instance}",
             in_words(estimate),
             "" if estimate.confidence is None else f"{estimate.confidence:.0%}",
             *_motion(estimate, own),
         )
+
+
+def motions(estimates: Sequence[PoseEstimate], points: Sequence[Float | None]) -> Table:
+    """The `rows` as a table."""
+    table = Table(*COLUMNS, box=SIMPLE_HEAD)
+    for row in rows(estimates, points):
+        table.add_row(*row)
     return table
 
 

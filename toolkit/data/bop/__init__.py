@@ -6,8 +6,16 @@ writing.py   frames -> a folder                 masks.py    masks that come with
 """
 
 from toolkit.data.bop.masks import masked_scenes
-from toolkit.data.bop.reading import capture_digest, load_capture
+from toolkit.data.bop.reading import capture_digest, load_capture, load_current, load_goal
 from toolkit.data.bop.truth import load_models
 from toolkit.data.bop.writing import write_capture
 
-__all__ = ["capture_digest", "load_capture", "load_models", "masked_scenes", "write_capture"]
+__all__ = [
+    "capture_digest",
+    "load_capture",
+    "load_current",
+    "load_goal",
+    "load_models",
+    "masked_scenes",
+    "write_capture",
+]

@@ -50,7 +50,11 @@ def metres(raw: NDArray[Any], scale_mm: float, path: Path, where: str) -> Float:
         depth = np.where(measured, np.where(measured, values, 0) * (scale_mm / 1e3), 0).astype(np.float32)
     middle = float(np.median(depth[measured])) if measured.any() else 1.0
     if not _NEAR_M <= middle < _FAR_M:
-        stored = "floats in metres need 1000, in millimetres 1" if kind == "f" else "whole millimetres need 1"
+        stored = (
+            "floats in metres need 1000, in millimetres 1"
+            if kind == "f"
+            else "whole millimetres need 1, tenths of them 0.1"
+        )
         raise ToolkitError(
             f"'{path}' measures {middle:.3g} m in the middle, by the depth_scale {scale_mm:g} (millimetres per unit) "
             f"of {where}; {stored}"

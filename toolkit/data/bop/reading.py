@@ -13,7 +13,7 @@ from toolkit.data.bop.scene import SceneFolder
 from toolkit.data.bop.schemas import read_models
 from toolkit.data.bop.truth import models_of, placed_objects
 from toolkit.errors import ToolkitError
-from toolkit.types import Capture, ObjectModel, Placed, TrueObject
+from toolkit.types import Capture, Frame, ObjectModel, Placed, TrueObject
 
 
 def load_capture(folder: Path, masks: Path | None = None) -> Capture:
@@ -37,9 +37,7 @@ def load_capture(folder: Path, masks: Path | None = None) -> Capture:
     current_scene, goal_scene = (
         SceneFolder.read(folder / name, None if masks is None else masks / name, notes) for name in ("current", "goal")
     )
-    if len(goal_scene.cameras) != 1:
-        raise ToolkitError(f"'{goal_scene.path}' must hold exactly one goal image, it holds {len(goal_scene.cameras)}")
-    current, goal = current_scene.current_frames(notes), goal_scene.goal_frames(notes)[0]
+    current, goal = current_scene.current_frames(notes), _goal(goal_scene, notes)
     truth, only_current, only_goal = _load_truth(folder, current_scene, goal_scene, notes)
     own = [frame for frame in (*current, goal) if frame.own_masks and frame.true_masks is None]
     if own and masks is None:
@@ -48,6 +46,20 @@ def load_capture(folder: Path, masks: Path | None = None) -> Capture:
     if masks is not None:
         digest = hashlib.sha256(f"{digest} {capture_digest(masks)}".encode()).hexdigest()
     return Capture(folder.name, tuple(current), goal, truth, digest, only_current, only_goal, notes.sentences())
+
+
+def load_current(folder: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
+    """Read a current scene alone: its frames, and the notes that `load_capture` makes; raises as that."""
+    notes = Notes()
+    frames = SceneFolder.read(folder, None, notes).current_frames(notes)
+    return tuple(frames), notes.sentences()
+
+
+def load_goal(folder: Path) -> tuple[Frame, tuple[str, ...]]:
+    """Read a goal scene alone: its image, and the notes that `load_capture` makes; raises as that."""
+    notes = Notes()
+    goal = _goal(SceneFolder.read(folder, None, notes), notes)
+    return goal, notes.sentences()
 
 
 def capture_digest(folder: Path) -> str:
@@ -61,6 +73,12 @@ def capture_digest(folder: Path) -> str:
         hasher.update(str(path.relative_to(folder)).encode(errors="surrogateescape") + b"\0")
         hasher.update(hashlib.sha256(read_bytes(path)).digest())
     return hasher.hexdigest()
+
+
+def _goal(scene: SceneFolder, notes: Notes) -> Frame:
+    if len(scene.cameras) != 1:
+        raise ToolkitError(f"'{scene.path}' must hold exactly one goal image, it holds {len(scene.cameras)}")
+    return scene.goal_frames(notes)[0]
 
 
 def _load_truth(

@@ -8,17 +8,19 @@ import numpy as np
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
-from toolkit.perception.checks.likeness import Plan, bare_plans, likeness, plan
-from toolkit.perception.checks.suspects import AXES, Suspect, rescaled
+from toolkit.perception.checks.likeness import PATCHES, Plan, bare_plans, between, likeness, plan
+from toolkit.perception.checks.suspects import AXES, FLIPS, STORE, Suspect, rescaled
 from toolkit.perception.tabletop.table import Table
 from toolkit.types import Finding, Float, Frame
 
 _LEAST_SHARE, _SMALL_SHARE, _FAIR_SHARE = 0.02, 0.1, 0.3
 """Parts of the goal image that show the table: with less nothing can be found, or little, or all may be well."""
 
-_PATCHES = 40
 _UNLIKE, _LIKE = 0.15, 0.5
 """Correlations of the table's texture: a table elsewhere is below the one, the same table above the other."""
+
+_STRANGE, _FAMILIAR = 0.2, 0.1
+"""Parts of the current frames' patches that no other frame has: with colours flipped against depth, and without."""
 
 _DOUBT, _LITTLE = 0.3, 0.5
 
@@ -30,21 +32,35 @@ _UNITS = tuple(
 
 def check_table(goal: Frame, table: Table) -> list[Finding]:
     """Compare a goal image with the table that the current frames show."""
+    return [replace(finding, shown="table") for finding in _compared(goal, table)]
+
+
+def _compared(goal: Frame, table: Table) -> list[Finding]:
     plans = bare_plans(table)
+    own = between(plans)
+    for how, axes in FLIPS.items() if _strange(own) > _STRANGE else ():
+        # A table that shines or is all noise looks different in every frame, however they are flipped.
+        if _strange(between(bare_plans(table, axes))) < _FAMILIAR:
+            return [Finding("refused", f"the current colour images are {how}, and their depth is not; {STORE}")]
     share = float(table.surface(goal.camera).mean())
     alike = _likeness(goal, goal.camera.T_world_camera, table, plans)
-    textured = len(alike) >= _PATCHES
+    textured = len(alike) >= PATCHES
     if np.median(alike) > _UNLIKE if textured else share > _FAIR_SHARE:
         return []
     blind = f"the goal image shows {'no' if share < _LEAST_SHARE else 'another'} table, by its pose"
     for suspect in (*AXES, *_UNITS):
         seen = _likeness(goal, _undone(suspect, goal, table), table, plans)
-        if len(seen) >= _PATCHES and np.median(seen) > _LIKE:
+        if len(seen) >= PATCHES and np.median(seen) > _LIKE:
             return [Finding("refused", f"{blind}, and {suspect.sentence}")]
     if share < _LEAST_SHARE:
         remedy = "is goal/scene_camera.json in the same world, axes and units as current/scene_camera.json?"
         return [Finding("refused", f"{blind}; {remedy}")]
-    if textured and _steady(plans):
+    for how, axes in FLIPS.items():
+        flipped = _likeness(replace(goal, rgb=np.flip(goal.rgb, axes)), goal.camera.T_world_camera, table, plans)
+        if len(flipped) >= PATCHES and np.median(flipped) > _LIKE:
+            return [Finding("refused", f"the goal image is {how}; {STORE}")]
+    # So is it in the current frames where it shines, or is all noise.
+    if textured and (len(own) < PATCHES or np.median(own) > _LIKE):
         sentence = "the texture of the table is elsewhere in the goal image than its pose says"
         causes = "is that the pose of this image, and are the current poses not one image off?"
         return [Finding("doubtful", f"{sentence}; {causes}", _DOUBT)]
@@ -52,6 +68,11 @@ def check_table(goal: Frame, table: Table) -> list[Finding]:
         sentence = f"only {share:.0%} of the goal image shows the table, by its pose; point the camera at it"
         return [Finding("doubtful", sentence, _LITTLE)]
     return []
+
+
+def _strange(alike: Float) -> float:
+    """0..1: part of the textured patches that no other frame has; neither much nor little where few are compared."""
+    return float((alike < _LIKE).mean()) if len(alike) >= PATCHES else 0.5 * (_STRANGE + _FAMILIAR)
 
 
 def _undone(suspect: Suspect, goal: Frame, table: Table) -> Float:
@@ -65,13 +86,6 @@ def _undone(suspect: Suspect, goal: Frame, table: Table) -> Float:
         return meant
     stated = first.camera.T_world_camera
     return stated @ invert(suspect.undo(stated)) @ meant
-
-
-def _steady(plans: list[Plan]) -> bool:
-    """Whether the current frames show one texture; a table that shines or is all noise looks different in each."""
-    between = [likeness(own, [*plans[:i], *plans[i + 1 :]]) for i, own in enumerate(plans)]
-    enough = [float(np.median(values)) for values in between if len(values) >= _PATCHES]
-    return not enough or float(np.median(enough)) > _LIKE
 
 
 def _likeness(goal: Frame, pose: Float, table: Table, plans: list[Plan]) -> Float:

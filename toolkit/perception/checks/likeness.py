@@ -25,6 +25,9 @@ _CONTRAST = 1.0
 
 _LEAST_SEEN = 0.8
 
+PATCHES = 40
+"""With fewer textured patches compared, nothing is said."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -61,13 +64,18 @@ def plan(table: Table, camera: Camera, rgb: Image, bare: Mask) -> Plan:
     return Plan(np.where(seen, fine - mean, 0).astype(np.float32), seen)
 
 
-def bare_plans(table: Table) -> list[Plan]:
-    """The plans of all frames that see the table, of what of it is bare."""
+def bare_plans(table: Table, flip: tuple[int, ...] = ()) -> list[Plan]:
+    """The plans of all frames that see the table, of what of it is bare; colour images flipped along these axes."""
     kernel = np.ones((7, 7), np.uint8)
     return [
-        plan(table, frame.camera, frame.rgb, cv2.erode(on_plane(p, frame).astype(np.uint8), kernel) > 0)
+        plan(table, frame.camera, np.flip(frame.rgb, flip), cv2.erode(on_plane(p, frame).astype(np.uint8), kernel) > 0)
         for frame, p in table.seen()
     ]
+
+
+def between(plans: Sequence[Plan]) -> NDArray[np.float64]:
+    """(P,) -1..1: the `likeness` of every plan to the others."""
+    return np.concatenate([likeness(own, [*plans[:i], *plans[i + 1 :]]) for i, own in enumerate(plans)])
 
 
 def likeness(one: Plan, others: Sequence[Plan]) -> NDArray[np.float64]:

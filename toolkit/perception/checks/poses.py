@@ -9,8 +9,8 @@ import numpy as np
 
 from toolkit.perception.checks.agreement import Agreement, agreement
 from toolkit.perception.checks.sighting import Sighting, sight
-from toolkit.perception.checks.suspects import AXES, length, scales
-from toolkit.types import Camera, Finding, Float
+from toolkit.perception.checks.suspects import AXES, FLIPS, STORE, length, scales
+from toolkit.types import Camera, Finding, Float, Frame
 
 _LEAST_OVERLAP = 0.3
 _ODD, _ODD_AGAINST = 0.4, 2.5
@@ -21,8 +21,10 @@ _DOUBT = 0.3
 
 def check_poses(sightings: Sequence[Sighting]) -> list[Finding]:
     """Compare the frames that see a table; with fewer than two there is nothing to compare."""
-    if len(sightings) < 2:
-        return []
+    return [replace(finding, shown="cameras") for finding in _compared(sightings)] if len(sightings) > 1 else []
+
+
+def _compared(sightings: Sequence[Sighting]) -> list[Finding]:
     poses = [sighting.frame.camera.T_world_camera for sighting in sightings]
     stated = agreement(sightings, poses)
     if stated.sound and stated.overlap > _LEAST_OVERLAP:
@@ -33,10 +35,11 @@ def check_poses(sightings: Sequence[Sighting]) -> list[Finding]:
     for suspect in (*AXES, *scales(height, baseline)):
         if _explains(agreement(sightings, [suspect.undo(T) for T in poses]), stated):
             return [Finding("refused", f"the current frames contradict each other, and {suspect.sentence}")]
+    for how, axes in FLIPS.items():
+        if _explain([_flipped(s.frame, axes) for s in sightings], poses, stated):
+            return [Finding("refused", f"the current frames contradict each other, and their depth is {how}; {STORE}")]
     for factor in (2.0, 0.5):
-        resized = [sight(replace(s.frame, camera=_resized(s.frame.camera, factor))) for s in sightings]
-        seen = [sighting for sighting in resized if sighting is not None]
-        if len(seen) == len(sightings) and _explains(agreement(seen, poses), stated):
+        if _explain([replace(s.frame, camera=_resized(s.frame.camera, factor)) for s in sightings], poses, stated):
             size = "half" if factor > 1 else "twice"
             sentence = (
                 f"the current frames contradict each other, and cam_K looks like that of pictures of {size} the size"
@@ -61,6 +64,12 @@ def _explains(supposed: Agreement, stated: Agreement) -> bool:
     return supposed.sound and supposed.overlap > max(_LEAST_OVERLAP, stated.overlap / 2)
 
 
+def _explain(supposed: Sequence[Frame], poses: Sequence[Float], stated: Agreement) -> bool:
+    """Whether other frames agree, each of which shows a table."""
+    seen = [sighting for sighting in map(sight, supposed) if sighting is not None]
+    return len(seen) == len(supposed) and _explains(agreement(seen, poses), stated)
+
+
 def _odd_ones(sightings: Sequence[Sighting], poses: Sequence[Float], stated: Agreement) -> list[Finding]:
     """Frames that alone contradict the others are left out, if those then agree."""
     usual = float(np.median(stated.contradicted))
@@ -74,6 +83,11 @@ def _odd_ones(sightings: Sequence[Sighting], poses: Sequence[Float], stated: Agr
     named = f"frame{'s' if len(frames) > 1 else ''} {', '.join(map(str, frames))}"
     sentence = f"current {named} contradict{'' if len(frames) > 1 else 's'} all others and is not used"
     return [Finding("left out", f"{sentence}; is the pose another image's?", frames=frames)]
+
+
+def _flipped(frame: Frame, axes: tuple[int, ...]) -> Frame:
+    assert frame.depth is not None
+    return replace(frame, depth=np.ascontiguousarray(np.flip(frame.depth, axes)))
 
 
 def _resized(camera: Camera, factor: float) -> Camera:

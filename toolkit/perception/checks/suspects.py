@@ -53,6 +53,11 @@ AXES = (
     Suspect(_unturn, "cam_R_w2c looks transposed", "write it row by row"),
 )
 
+FLIPS = {"mirrored left to right": (1,), "upside down": (0, 1)}
+"""What cameras' programs do to images for people to look at: axes to flip them along."""
+
+STORE = "store images as the camera's lens projects them, colour and depth alike"
+
 _FACTORS = (1000.0, 100.0, 10.0, 4.0, 2.54, 2.5, 2.0, 0.5, 0.4, 0.25, 0.1, 0.01, 0.001)
 
 
