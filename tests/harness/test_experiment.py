@@ -154,6 +154,7 @@ def test_a_file_that_is_no_text_is_one_sentence(tmp_path):
 def test_set_options_are_yaml():
     assert parse_set("pipeline.views=all,1") == ("pipeline.views", ["all", 1])
     assert parse_set("a.b=0.5") == ("a.b", [0.5])
+    assert parse_set("noise=[depth,light],[pose]") == ("noise", [["depth", "light"], ["pose"]])
     for bad in ("pipeline.views", "=3", "a="):
         with pytest.raises(ToolkitError, match="--set takes"):
             parse_set(bad)

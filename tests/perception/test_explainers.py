@@ -9,9 +9,11 @@ import pytest
 
 from toolkit.geometry import make_transform
 from toolkit.perception.database import Database
+from toolkit.perception.explainers.searching.evidence import Evidence, with_known
+from toolkit.perception.explainers.searching.scores import Sample, score_motions
 from toolkit.perception.explainers.searching.trust import trust
 from toolkit.perception.explanation import ExplainTask, Explanation
-from toolkit.perception.fusion import Models
+from toolkit.perception.fusion import Models, united
 from toolkit.perception.regions import lift_segment
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, Box, camera, shoot
 from toolkit.stages import EXPLAINERS
@@ -114,6 +116,31 @@ def test_pieces_that_move_apart_are_two() -> None:
     _, explanation = explain(now, then)
     assert explanation.joined == ()
     assert {p.instance for p in explanation.placements} == {0, 1}
+
+
+def test_what_is_known_to_stand_in_front_hides_the_rest() -> None:
+    sample = Sample(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.ones(1))
+    image = np.full((9, 9), 4.0, np.float32)
+    free = np.full((9, 9), np.inf, np.float32)
+    goal = Evidence(np.zeros((9, 9, 3), np.float32), image, free, np.array([[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]), 1)
+    above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 1.0]))
+
+    def gain(evidence: Evidence) -> float:
+        return float(score_motions(sample, np.zeros(1), np.zeros((1, 3)), evidence, above)[0])
+
+    assert gain(goal) == pytest.approx(4.0)
+    assert gain(with_known(goal, image, np.full((9, 9), 1.1))) == pytest.approx(4.0)
+    assert gain(with_known(goal, image, np.full((9, 9), 0.9))) == 0.0
+    assert gain(with_known(goal, np.full((9, 9), 0.5), free)) == pytest.approx(0.5)
+
+
+def test_models_that_are_one_keep_their_points_and_views() -> None:
+    one, other, _ = models_of(ring(NOW)).all()
+    both = united([one, other])
+    assert len(both.points) == len(one.points) + len(other.points) == len(both.seen_by)
+    assert both.seen_by.shape[1] == len(one.patches) + len(other.patches) == len(both.patches)
+    assert (both.seen_by.sum(axis=1) == np.concatenate([one.seen_by, other.seen_by], axis=0).sum(axis=1)).all()
+    np.testing.assert_allclose(both.normals_at(np.arange(5)), one.normals_at(np.arange(5)), atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["agreement", "gain", "alone", "lead", "whole"])

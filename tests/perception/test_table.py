@@ -130,6 +130,18 @@ def test_what_hangs_above_the_table_belongs_to_what_carries_it() -> None:
     assert {int(k) for frame in frames for k in np.unique(labels[frame.index])} == {0, 1}
 
 
+def test_what_one_thing_carries_is_no_part_of_another_that_it_touches() -> None:
+    carried: list[Box] = [((0, 0, 0), (0.06, 0.06, 0.1)), ((0, 0, 0.1), (0.16, 0.16, 0.02))]
+    beside: Box = ((0.125, 0, 0), (0.09, 0.12, 0.16))
+    frames = ring([*carried, beside])
+    labels = objects_on_table(frames, 0.0015, 60).labels
+    own: dict[int, set[int]] = {}
+    for frame in frames:
+        for k, mask in (frame.true_masks or {}).items():
+            own.setdefault(k, set()).add(int(np.bincount(labels[frame.index][mask]).argmax()))
+    assert not own[3] & (own[1] | own[2])
+
+
 def test_the_table_beside_an_object_is_no_part_of_it() -> None:
     frames = ring(NOW)
     table = find_table(frames)
@@ -154,8 +166,8 @@ def test_borders_say_how_pieces_meet() -> None:
     pieces = made_pieces()
     for (i, j), (length, features) in borders(pieces).items():
         assert i < j and length > 0
-        assert features.shape == (4,)
-        assert 0 <= features[1] <= 1 and 0 <= features[2] <= 1 and features[3] in (0, 1)
+        assert features.shape == (5,)
+        assert 0 <= features[1] <= 1 and 0 <= features[2] <= 1 and features[3] > 0 and features[4] in (0, 1)
 
 
 def made_pieces() -> Pieces:
