@@ -15,18 +15,18 @@ from toolkit.perception.tabletop.table import Table
 from toolkit.types import Float
 
 _WEIGHTS = {
-    "agreement": 1.6,
-    "gain": 0.33,
-    "visible": 1.82,
-    "height": 1.7,
-    "alone": 0.64,
-    "lead": 2.41,
-    "size": 2.51,
-    "still": -0.47,
-    "whole": 3.1,
-    "views": 1.74,
+    "agreement": 1.66,
+    "gain": -0.52,
+    "visible": 1.02,
+    "height": 1.34,
+    "alone": 1.12,
+    "lead": 2.95,
+    "size": 2.23,
+    "still": -0.31,
+    "whole": 3.57,
+    "views": 1.67,
 }
-_BIAS = -10.04
+_BIAS = -9.38
 """Logistic regression on procedural objects (experiments/benchmarks/trust.py), wrong answers counted four times."""
 
 _TALL_M = 0.03
