@@ -329,7 +329,7 @@ def test_a_capture_is_checked(dataset, capture_copy, tmp_path):
         done = toolkit(*command)
         assert done.returncode == 2
         assert "OpenGL" in done.stderr and done.stderr.strip().splitlines()[-1].startswith("error: ")
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out" / "poses.json").exists()
 
 
 def test_what_is_refused_counts_as_missed_in_an_evaluation(capture_copy, tmp_path):

@@ -15,7 +15,7 @@ from toolkit.errors import ToolkitError
 from toolkit.types import Float, Image
 
 _WAIT_MS = 2000
-"""Neither a camera nor a file pauses for so long between two frames."""
+"""No camera pauses for so long between two frames; a file does on a busy machine, and says when it has ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,13 @@ class Stream:
         self._align = rs.align(rs.stream.color)
         self._models = rs.distortion
         self._pipeline = rs.pipeline()
+        self._playback, self._playing = None, rs.playback_status.playing
         try:
             device = config.resolve(rs.pipeline_wrapper(self._pipeline)).get_device()
             if device.is_playback():
                 # Before it starts: what plays in real time skips frames that nobody waits for.
-                device.as_playback().set_real_time(False)
+                self._playback = device.as_playback()
+                self._playback.set_real_time(False)
             self._pipeline.start(config)
         except RuntimeError as error:
             raise ToolkitError(f"{what} cannot be opened: {error}") from error
@@ -97,6 +99,8 @@ class Stream:
         while True:
             there, frames = self._pipeline.try_wait_for_frames(_WAIT_MS)
             if not there:
+                if self._playback is not None and self._playback.current_status() == self._playing:
+                    continue
                 return
             if frames.get_color_frame() and frames.get_depth_frame():
                 yield frames
