@@ -1,6 +1,6 @@
 """Broken captures, drawn at random: every one is answered by an exit code and a sentence, never a traceback.
 
-The suite draws a few hundred; `pytest -n 2 -m slow tests/data/test_fuzz.py` draws 2,000.
+The suite draws two hundred, the same every time; `pytest -n 2 -m slow tests/data/test_fuzz.py` draws 2,000 others.
 """
 
 from __future__ import annotations
@@ -187,7 +187,8 @@ def answered(folder: Path, out: Path) -> None:
     assert code in (0, 1, 2)
     assert "Traceback" not in error.getvalue()
     if code:
-        (sentence,) = [line for line in error.getvalue().splitlines() if line.startswith("error: ")]
+        start = "no motion: " if code == 1 else "error: "
+        (sentence,) = [line for line in error.getvalue().splitlines() if line.startswith(start)]
         assert len(sentence) > 20 and error.getvalue().endswith(f"{sentence}\n")
     else:
         assert (out / "poses.json").exists()
@@ -204,7 +205,7 @@ def check(draw) -> None:
 ANY_TIME = {"deadline": None, "suppress_health_check": list(HealthCheck)}
 
 
-@settings(max_examples=200, **ANY_TIME)
+@settings(max_examples=200, derandomize=True, **ANY_TIME)
 @given(st.data())
 def test_a_broken_capture_is_answered(data):
     check(data.draw)

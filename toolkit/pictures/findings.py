@@ -55,7 +55,7 @@ def cameras_picture(frames: Sequence[Frame]) -> Image | None:
     Returns:
         (H, W, 3) uint8; None where no frame shows a table.
     """
-    seen = [sighting for sighting in map(sight, frames) if sighting is not None]
+    seen = [sighting for sighting in map(sight, frames) if sighting is not None and len(sighting.flat)]
     if not seen:
         return None
     figure = Figure(figsize=(12, 6), layout="constrained")
