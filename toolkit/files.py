@@ -73,8 +73,12 @@ def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 @contextmanager
-def writing(path: Path) -> Generator[None]:
+def writing(what: str, kept: str = "") -> Generator[None]:
     """Turn a full disk or a folder without permission into one clear sentence.
+
+    Args:
+        what: is written; a path in quotes.
+        kept: ends the sentence: what is not lost.
 
     Raises:
         ToolkitError: an OSError was raised inside the block.
@@ -82,7 +86,7 @@ def writing(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise ToolkitError(f"'{path}' cannot be written: {error.strerror or error}") from error
+        raise ToolkitError(f"cannot write {what}: {error.strerror or error}{kept}") from error
 
 
 def make_once(folder: Path, make: Callable[[Path], object]) -> Path:

@@ -94,13 +94,13 @@ def check(
     progress = bars()
     with progress.waiting("Checking"):
         from toolkit.data.bop import load_capture
-        from toolkit.harness.runs import writable
+        from toolkit.files import writing
         from toolkit.perception.checks.capture import check_capture, refuse
         from toolkit.pictures.findings import illustrated
 
         loaded = load_capture(capture, masks)
         folder = out or Path("runs") / "check" / capture.resolve().name
-        with writable(f"'{folder}'"):
+        with writing(f"'{folder}'"):
             findings = illustrated(folder, loaded.current, loaded.goal, check_capture(loaded))
     say(*loaded.notes)
     refuse(findings)

@@ -88,7 +88,7 @@ def export(
 
     exporter = EXPORTERS.create(kind, single_values(settings))
     results = read_results(result)
-    with writing(out):
+    with writing(f"'{out}'"):
         say(*exporter.write(results, out))
     say(f"Written: {out}")
 

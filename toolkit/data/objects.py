@@ -91,12 +91,13 @@ def load_object_set(source: str, cache_dir: Path) -> ObjectSet:
     assets: list[ObjectAsset] = []
     notes = [said] if said else []
     done: dict[str, list[str]] = {}
-    for object_id, scan in enumerate(scans, start=1):
+    for object_id, (scan, own) in enumerate(zip(scans, points, strict=True), start=1):
         drawn = drawable(scan, scan.notes.unit or unit, cache_dir)
         hasher.update(f"{scan.name} {scan.notes.model_dump_json(exclude={'unit', 'up'})}".encode())
         for path in (drawn.mesh, drawn.texture, *drawn.hulls):
             hasher.update(hashlib.sha256(path.read_bytes()).digest())
-        assets.append(_make_asset(scan, drawn, object_id, cache_dir / "objects" / "hulls"))
+        vertices = own if drawn.mesh == scan.mesh else read_points(drawn.mesh)
+        assets.append(_make_asset(scan, drawn, vertices, object_id, cache_dir / "objects" / "hulls"))
         for what in drawn.said:
             done.setdefault(what, []).append(scan.name)
     notes += [f"{_listed(names)}: {what}" for what, names in done.items()]
@@ -131,8 +132,7 @@ def _base(points: Float, axis: int) -> float:
         return 0.0
 
 
-def _make_asset(scan: Scan, drawn: Drawable, object_id: int, hull_cache: Path) -> ObjectAsset:
-    vertices = read_points(drawn.mesh)
+def _make_asset(scan: Scan, drawn: Drawable, vertices: Float, object_id: int, hull_cache: Path) -> ObjectAsset:
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError) as error:

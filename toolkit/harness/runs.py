@@ -6,8 +6,8 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ import yaml
 from toolkit import __version__
 from toolkit.digests import digest, package_digest
 from toolkit.errors import ToolkitError
-from toolkit.files import write_json, write_text
+from toolkit.files import write_json, write_text, writing
 from toolkit.harness.cache import library_versions
 from toolkit.harness.experiment import Cell
 from toolkit.parallel import cores
@@ -207,17 +207,9 @@ def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping
     )
 
 
-@contextmanager
-def writable(what: str) -> Generator[None]:
-    """Turn a full disk or a folder without permission into one clear sentence.
-
-    Raises:
-        ToolkitError: an OSError was raised inside the block.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise ToolkitError(f"cannot write {what}: {error.strerror or error}; finished rows are kept") from error
+def writable(what: str) -> AbstractContextManager[None]:
+    """`writing` in a run, whose finished rows are on disk already."""
+    return writing(what, "; finished rows are kept")
 
 
 def _commit() -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -128,8 +127,6 @@ def _from_above(table: Table, camera: Camera, rgb: Image) -> Image:
 
 
 def _rendered(figure: Figure) -> Image:
-    written = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(written)
-    decoded = cv2.imdecode(np.frombuffer(written.getvalue(), np.uint8), cv2.IMREAD_COLOR)
-    assert decoded is not None
-    return np.asarray(decoded[..., ::-1], np.uint8)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]

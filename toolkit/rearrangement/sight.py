@@ -10,8 +10,7 @@ from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from toolkit.geometry import rotation_angle, transform_points
-from toolkit.perception.database import Database
-from toolkit.perception.fusion import FusedModel, fuse
+from toolkit.perception.fusion import cloud
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.moves import Item, Layout, Move
 from toolkit.registry import PluginConfig
@@ -58,8 +57,8 @@ class Sight:
 
     def after(self, move: Move) -> Sight:
         """What there is to see when `move` was carried out as meant."""
-        cloud = transform_points(move.T_place_pick, self.clouds[move.object])
-        return replace(self, layout=self.layout.after(move), clouds={**self.clouds, move.object: cloud})
+        moved = transform_points(move.T_place_pick, self.clouds[move.object])
+        return replace(self, layout=self.layout.after(move), clouds={**self.clouds, move.object: moved})
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:
@@ -83,8 +82,8 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
             failures[estimate.goal_object] = Failure("retriever", reason)
         else:
             claims[estimate.instance] = estimate
-    clouds = {i: _cloud(scene.database, i) for i in np.unique(scene.database.instances).tolist()}
-    items = tuple(_item(instance, cloud, claims.get(instance), settings) for instance, cloud in clouds.items())
+    clouds = {i: cloud(scene.database, i)[0] for i in np.unique(scene.database.instances).tolist()}
+    items = tuple(_item(instance, own, claims.get(instance), settings) for instance, own in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
     return Sight(layout, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)
 
@@ -108,14 +107,6 @@ def correct(before: Sight, now: Sight) -> Sight:
 
 def _sureness(estimate: PoseEstimate) -> float:
     return 1.0 if estimate.confidence is None else estimate.confidence
-
-
-def _cloud(database: Database, instance: int) -> Float:
-    """Fused points of an instance; the raw ones where too few are left after fusion."""
-    model = fuse(database, instance)
-    if isinstance(model, FusedModel):
-        return model.points
-    return np.concatenate([database.regions[row].points for row in database.instance(instance)])
 
 
 def _item(instance: int, cloud: Float, estimate: PoseEstimate | None, settings: SightSettings) -> Item:

@@ -104,8 +104,8 @@ class Poses(_Part):
     findings: list[Found]
     """What was found wrong with the capture."""
 
-    def instance(self, number: int) -> Instance | None:
-        """An instance by its number; None where the file was written before it told of them."""
+    def instance(self, number: int | None) -> Instance | None:
+        """An instance by its number; None without one, or where the file was written before it told of them."""
         return next((instance for instance in self.instances if instance.instance == number), None)
 
 

@@ -63,7 +63,7 @@ class Bop(Plugin[BopConfig], Exporter):
             now = {i: Placed(t.model, t.T_world_current) for i, t in capture.truth.items()} | dict(capture.only_current)
             spent = sum(sum(entry.time_ms.values()) for entry in result.poses.objects) / 1e3
             for entry in result.poses.objects:
-                instance = None if entry.instance is None else result.poses.instance(entry.instance)
+                instance = result.poses.instance(entry.instance)
                 if instance is None or entry.T_goal_current is None:
                     continue
                 true = _object_of(result.cloud(instance)[0], now)

@@ -37,7 +37,7 @@ class Ply(Plugin[PlyConfig], Exporter):
                     write_cloud(folder / f"{instance.instance:06d}.ply", *result.cloud(instance))
                 continue
             for entry in result.poses.objects:
-                instance = None if entry.instance is None else result.poses.instance(entry.instance)
+                instance = result.poses.instance(entry.instance)
                 if instance is not None and entry.T_goal_current is not None:
                     points, colors = result.cloud(instance)
                     moved = transform_points(matrix(entry.T_goal_current), points)

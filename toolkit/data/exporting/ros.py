@@ -39,7 +39,7 @@ class Ros(Plugin[RosConfig], Exporter):
         return []
 
     def _object(self, result: Result, entry: GoalObject) -> dict[str, Any]:
-        instance = None if entry.instance is None else result.poses.instance(entry.instance)
+        instance = result.poses.instance(entry.instance)
         now = None if instance is None else matrix(instance.T_world_box)
         then = None if now is None or entry.T_goal_current is None else matrix(entry.T_goal_current) @ now
         return {

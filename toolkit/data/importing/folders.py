@@ -5,11 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from toolkit.data.bop.depth import metres
 from toolkit.data.bop.images import read_color, read_depth, turned
 from toolkit.errors import ToolkitError
 from toolkit.types import Float, Image
+
+SchemaT = TypeVar("SchemaT", bound=BaseModel)
 
 TOLERANCE_S = 0.02
 """Seconds that stamps of colour, depth and pose may lie apart, as the TUM benchmark's own tools have it."""
@@ -70,6 +75,19 @@ def rows(path: Path, counts: tuple[int, ...], holds: str) -> Iterator[tuple[str,
             raise ToolkitError(f"'{path}', line {number}: {holds} is wanted, got '{line[:60]}'")
         if values:
             yield f"'{path}', line {number}", values
+
+
+def checked(schema: type[SchemaT], data: object, where: str) -> SchemaT:
+    """What a file has of one camera or frame, as its schema says.
+
+    Raises:
+        ToolkitError: a key does not fit; the first that does not is named.
+    """
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ToolkitError(f"{where}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
 def numbers(values: list[str], where: str) -> list[float]:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from toolkit.data.bop.poses import rigid
-from toolkit.data.importing.folders import depth_image, picture
+from toolkit.data.importing.folders import checked, depth_image, picture
 from toolkit.data.importing.opengl import from_opengl, low_resolution
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import DepthScale
@@ -103,12 +103,7 @@ class _Entry(BaseModel):
 def _entry(shared: dict[str, Any], frame: Any, where: str) -> _Entry:
     if not isinstance(frame, dict):
         raise ToolkitError(f"{where}: an object {{...}} of its keys is wanted")
-    try:
-        entry = _Entry.model_validate({**shared, **frame})
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise ToolkitError(f"{where}: {key}: {first['msg']}") from error
+    entry = checked(_Entry, {**shared, **frame}, where)
     if entry.camera_model not in _PINHOLES or entry.k4:
         raise ToolkitError(
             f"{where}: the camera is {entry.camera_model}{' with k4' if entry.k4 else ''}, and only pinholes with "

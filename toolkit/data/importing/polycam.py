@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from toolkit.data.bop.images import DEPTHS, PICTURES
 from toolkit.data.bop.poses import rigid
-from toolkit.data.importing.folders import by_number, depth_image, picture
+from toolkit.data.importing.folders import by_number, checked, depth_image, picture
 from toolkit.data.importing.opengl import from_opengl, low_resolution
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import DepthScale
@@ -45,7 +45,7 @@ class Polycam(Plugin[PolycamConfig], Importer):
         cameras = by_number(folder / f"{corrected}cameras", (".json",))
         if not cameras:
             raise ToolkitError(f"'{folder}' holds no cameras/*.json, as the raw data of Polycam does")
-        entries = [_camera(path) for path in cameras]
+        entries = [checked(_Camera, read_json(path), f"'{path}'") for path in cameras]
         images, depths = (
             {path.stem: path for path in by_number(folder / name, suffixes)}
             for name, suffixes in ((f"{corrected}images", PICTURES), ("depth", DEPTHS))
@@ -98,11 +98,3 @@ class _Camera(BaseModel):
         """(4, 4) T_world_camera; raises ToolkitError where it is not rigid."""
         T = [[getattr(self, f"t_{row}{column}") for column in range(4)] for row in range(3)]
         return from_opengl(rigid(np.array([*T, [0, 0, 0, 1]], np.float64), f"camera '{name}'"))
-
-
-def _camera(path: Path) -> _Camera:
-    try:
-        return _Camera.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ToolkitError(f"'{path}': {'.'.join(map(str, first['loc']))}: {first['msg']}") from error

@@ -7,14 +7,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 
 from toolkit.data.importing.folders import TOLERANCE_S
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
-from toolkit.data.importing.settings import HandEye, pose
+from toolkit.data.importing.settings import HandEye, body_to_camera
 from toolkit.data.importing.streams import Pixels, Stream
-from toolkit.data.importing.trajectory import read_trajectory
+from toolkit.data.importing.trajectory import read_trajectory, without_pose
 from toolkit.errors import ToolkitError
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame
@@ -45,7 +44,7 @@ class RealSense(Plugin[RealSenseConfig], Importer):
     def read(self, source: Path) -> Recording:
         config = self.config
         trajectory = read_trajectory(config.poses)
-        T_body_camera = np.eye(4) if config.hand_eye is None else pose(config.hand_eye, "hand_eye")
+        T_body_camera = body_to_camera(config.hand_eye)
         stamps = [stamp for stamp, _ in _pairs(source, config.tolerance)]
         bodies = {index: trajectory.at(stamp, config.tolerance) for index, stamp in enumerate(stamps)}
         shots = tuple(
@@ -73,9 +72,7 @@ class RealSense(Plugin[RealSenseConfig], Importer):
             found = [(shot, seen[stamps[shot.index]]) for shot in chosen]
             return [pinhole_frame(shot, p.rgb, p.depth, p.K, p.distortion) for shot, p in found]
 
-        left = len(stamps) - len(shots)
-        notes = (f"{left} frames have no pose within {config.tolerance:g} s: left out",) if left else ()
-        return Recording(shots, load, notes=notes)
+        return Recording(shots, load, notes=without_pose(len(stamps) - len(shots), config.tolerance, "frames"))
 
 
 def _pairs(source: Path, tolerance: float) -> Iterator[tuple[float, tuple[Stream, Any]]]:

@@ -53,7 +53,7 @@ def record_capture(stream: Stream, lines: Iterable[str], T_body_camera: Float, o
             f"a capture has one goal image and at least one current frame, got {len(goals)} and {len(current)}; "
             f"begin the line with the pose of the goal image with '{GOAL}'"
         )
-    with writing(out):
+    with writing(f"'{out}'"):
         write_capture(out, current, goals[0])
     return len(current)
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 
 from toolkit.data.importing.folders import TOLERANCE_S
@@ -14,8 +13,8 @@ from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_
 from toolkit.data.importing.ros_bag import Bag
 from toolkit.data.importing.ros_messages import depth_of, lens_of, rgb_of, seconds, stamped_pose
 from toolkit.data.importing.ros_tf import Pose, Tree
-from toolkit.data.importing.settings import HandEye, pose
-from toolkit.data.importing.trajectory import Trajectory, nearest
+from toolkit.data.importing.settings import HandEye, body_to_camera
+from toolkit.data.importing.trajectory import Trajectory, nearest, without_pose
 from toolkit.errors import ToolkitError
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame
@@ -59,7 +58,7 @@ class Ros(Plugin[RosConfig], Importer):
                 f'the topic {config.pose} gives poses of some body; --set "hand_eye=X Y Z QX QY QZ QW" says how the '
                 "colour camera sits on it (0 0 0 0 0 0 1 where it speaks of the camera itself, in OpenCV's axes)"
             )
-        T_body_camera = np.eye(4) if config.hand_eye is None else pose(config.hand_eye, "hand_eye")
+        T_body_camera = body_to_camera(config.hand_eye)
         found = bag.gather(
             {
                 config.info: lambda message: message,
@@ -95,8 +94,7 @@ class Ros(Plugin[RosConfig], Importer):
                 for shot, (at, near) in zip(chosen, wanted, strict=True)
             ]
 
-        notes = (f"{left} images have no pose within {config.tolerance:g} s: left out",) if left else ()
-        return Recording(tuple(shots), load, notes=notes)
+        return Recording(tuple(shots), load, notes=without_pose(left, config.tolerance))
 
 
 def _bodies(found: Mapping[str, list[tuple[int, Any]]], config: RosConfig) -> dict[str, Pose]:

@@ -66,6 +66,11 @@ def pose(numbers: tuple[float, ...], where: str) -> Float:
     return make_transform(Rotation.from_quat(turn).as_matrix(), np.array(numbers[:3]))
 
 
+def body_to_camera(hand_eye: tuple[float, ...] | None) -> Float:
+    """(4, 4) T_body_camera of the setting `hand_eye`; the camera is the body where it is left out."""
+    return np.eye(4) if hand_eye is None else pose(hand_eye, "hand_eye")
+
+
 def told_pose(text: str, where: str) -> Float:
     """(4, 4) pose of text, `x y z qx qy qz qw` or 16 numbers row by row; raises ToolkitError where it is none."""
     try:

@@ -52,6 +52,11 @@ def nearest(stamps: Sequence[float], stamp: float, tolerance: float) -> int | No
     return min(near, key=lambda i: abs(stamps[i] - stamp)) if near else None
 
 
+def without_pose(count: int, tolerance: float, what: str = "images") -> tuple[str, ...]:
+    """The note that so many have no pose near enough in time; none where all have one."""
+    return (f"{count} {what} have no pose within {tolerance:g} s: left out",) if count else ()
+
+
 def read_trajectory(path: Path) -> Trajectory:
     """Read `time x y z qx qy qz qw` lines, as the TUM RGB-D benchmark writes them.
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from toolkit.data.importing.folders import TOLERANCE_S, depth_image, numbers, picture, rows
 from toolkit.data.importing.recording import Importer, Recording, Shot, pinhole_frame
 from toolkit.data.importing.settings import DepthScale, Distortion, Intrinsics, matrix
-from toolkit.data.importing.trajectory import nearest, read_trajectory
+from toolkit.data.importing.trajectory import nearest, read_trajectory, without_pose
 from toolkit.errors import ToolkitError
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame
@@ -50,7 +50,6 @@ class Tum(Plugin[TumConfig], Importer):
             raise ToolkitError(
                 f"'{source}': no image of rgb.txt has a pose within {tolerance:g} s; are both stamped by one clock?"
             )
-        notes = (f"{left} images have no pose within {tolerance:g} s: left out",) if left else ()
 
         def load(chosen: Sequence[Shot]) -> list[Frame]:
             K, scale = matrix(self.config.intrinsics), self.config.depth_scale
@@ -59,7 +58,7 @@ class Tum(Plugin[TumConfig], Importer):
                 pinhole_frame(s, picture(source / s.name), depth[s.index], K, self.config.distortion) for s in chosen
             ]
 
-        return Recording(tuple(shots), load, notes=notes)
+        return Recording(tuple(shots), load, notes=without_pose(left, tolerance))
 
 
 def _stamped(path: Path) -> list[tuple[float, str]]:

@@ -66,13 +66,13 @@ def import_capture(recording: Recording, out: Path, goal: Goal, frames: Frames) 
     notes = tuple(dict.fromkeys((*recording.notes, *of_goal.notes)))
     if now is None or then is None:
         bare = [replace(frame, true_masks=None) for frame in loaded]
-        with writing(out):
+        with writing(f"'{out}'"):
             write_capture(out, bare, replace(target, true_masks=None))
         return notes
     both = {
         i: TrueObject(now[i].model, now[i].T_world_model, then[i].T_world_model, i) for i in now.keys() & then.keys()
     }
-    with writing(out):
+    with writing(f"'{out}'"):
         write_capture(out, loaded, target, dict(sorted(both.items())), _without(now, both), _without(then, both))
     return notes
 
