@@ -325,8 +325,8 @@ def test_a_capture_is_checked(dataset, capture_copy, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "nothing is wrong" in done.stdout
     in_opengls_axes(capture_copy)
-    for command in (["capture", "check", capture_copy], ["estimate", capture_copy, "--out", tmp_path / "out"]):
-        done = toolkit(*command)
+    for command, out in ((["capture", "check"], "checked"), (["estimate"], "out")):
+        done = toolkit(*command, capture_copy, "--out", tmp_path / out)
         assert done.returncode == 2
         assert "OpenGL" in done.stderr and done.stderr.strip().splitlines()[-1].startswith("error: ")
     assert not (tmp_path / "out" / "poses.json").exists()
