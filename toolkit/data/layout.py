@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
-import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from toolkit.data.objects import ObjectAsset
@@ -54,6 +53,8 @@ def resting_poses(asset: ObjectAsset) -> list[RestingObject]:
     Raises:
         ToolkitError: a collision mesh cannot be read.
     """
+    import trimesh
+
     points, mass_center = hull_points(asset.hulls)
     hull = cast(Any, trimesh.convex.convex_hull(points))
     poses = [np.eye(4)] if _is_stable(points, mass_center) else []
@@ -69,6 +70,8 @@ def hull_points(hulls: tuple[Path, ...]) -> tuple[Float, Float]:
     Raises:
         ToolkitError: a mesh cannot be read, or is flat.
     """
+    import trimesh
+
     try:
         meshes = [cast(Any, trimesh.load(hull, force="mesh")) for hull in hulls]
     except Exception as error:

@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from PIL import Image as Pictures
 from scipy.spatial import KDTree
-from trimesh.visual.material import empty_material
 
 from toolkit.data.scans import Scan, Unit
 from toolkit.errors import ToolkitError
@@ -172,6 +170,8 @@ def _write(scan: Scan, T: Float, folder: Path) -> None:
 
 def _load(path: Path) -> Any:
     """A mesh of one part, its materials' images put into one; raises ToolkitError where it cannot be read."""
+    import trimesh
+
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=False)
         if path.suffix.lower() == ".obj" and _image_of(mesh) is None:
@@ -187,6 +187,8 @@ def _load(path: Path) -> Any:
 
 def _colored_obj(path: Path) -> Any:
     """An OBJ with a colour at every vertex, which trimesh drops where there are texture coordinates; else None."""
+    import trimesh
+
     content = path.read_bytes()
     if not re.search(rb"^v([ \t]+\S+){6}[ \t\r]*$", content, re.MULTILINE):
         return None
@@ -196,6 +198,8 @@ def _colored_obj(path: Path) -> Any:
 
 
 def _image_of(mesh: Any) -> Pictures.Image | None:
+    from trimesh.visual.material import empty_material
+
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     # What trimesh takes where a mesh names no material.
@@ -241,6 +245,8 @@ def _vertex_colors(mesh: Any, picture: Pictures.Image | None, said: list[str]) -
 
 def _thinned(mesh: Any, colors: Image) -> tuple[Any, Image]:
     """A mesh of fewer faces, and (F, 3, 3) the colours of their corners: those of the nearest vertices before."""
+    import trimesh
+
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     # Seams of a texture are no holes of the surface.
     whole.merge_vertices()

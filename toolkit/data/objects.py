@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
@@ -163,6 +162,8 @@ def _make_model(object_id: int, name: str, points: Float, symmetry: Symmetry) ->
 
 def _write_hull(points: Float, folder: Path) -> Path:
     """Write one convex mesh around (V, 3) points, few enough vertices for fast contacts, under its digest's name."""
+    import trimesh
+
     ascending = np.arange(_HULL_DIRECTIONS) + 0.5
     z, azimuth = 1 - 2 * ascending / _HULL_DIRECTIONS, ascending * np.pi * (3 - np.sqrt(5))  # Fibonacci sphere
     ring = np.sqrt(1 - z**2)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,11 @@ from toolkit.harness.experiment import Cell, Experiment, create_stage, own_setti
 from toolkit.harness.runs import RunOptions
 from toolkit.parallel import Workers, open_workers
 from toolkit.paths import cache_root
+from toolkit.perception.compiled import keep_compiled
 from toolkit.perception.meter import Meter
 from toolkit.perception.pipeline import Pipeline, Stages
 from toolkit.progress import Progress
+from toolkit.registry import Plugin
 from toolkit.results.rows import Row
 from toolkit.results.scoring import score
 from toolkit.slots import SLOTS
@@ -52,14 +54,30 @@ class CellRunner:
     Attributes:
         cell: its settings.
         pipeline: its stages, wrapped by the cache where there is one.
-        identity: digest of all that decides its rows, besides the capture.
-        weights: sha256 by name of the weights its stages use.
+        plugins: its stages by slot, as they are.
     """
 
     cell: Cell
     pipeline: Pipeline
-    identity: str
-    weights: dict[str, str]
+    plugins: dict[str, Plugin[Any]]
+
+    @cached_property
+    def identity(self) -> str:
+        """Digest of all that decides its rows, besides the capture."""
+        return digest(
+            [
+                self.cell.resolved(),
+                {slot: plugin_identity(plugin) for slot, plugin in self.plugins.items()},
+                source_digest("toolkit.perception.pipeline"),
+                source_digest("toolkit.results.scoring"),
+                library_versions(),
+            ]
+        )
+
+    @cached_property
+    def weights(self) -> dict[str, str]:
+        """sha256 by name of the weights its stages use."""
+        return {name: sha256 for plugin in self.plugins.values() for name, sha256 in plugin.digests().items()}
 
     def rows(self, capture: Capture, scene_id: int) -> list[Row]:
         """Estimate and score one capture."""
@@ -92,23 +110,14 @@ def make_runner(cell: Cell, cache: Cache | None) -> CellRunner:
     Raises:
         ToolkitError: a stage cannot be made.
     """
+    keep_compiled()
     meter = Meter()
-    plugins = {slot: create_stage(cell.pipeline, slot) for slot in SLOTS}
+    plugins: dict[str, Plugin[Any]] = {slot: create_stage(cell.pipeline, slot) for slot in SLOTS}
     stages: dict[str, Any] = dict(plugins)
     if cache is not None:
         for slot, wrapper in _WRAPPERS.items():
             stages[slot] = wrapper(stages[slot], plugins[slot], cache, meter)
-    identity = [
-        cell.resolved(),
-        {slot: plugin_identity(plugin) for slot, plugin in plugins.items()},
-        source_digest("toolkit.perception.pipeline"),
-        source_digest("toolkit.results.scoring"),
-        library_versions(),
-    ]
-    weights = {name: sha256 for plugin in plugins.values() for name, sha256 in plugin.digests().items()}
-    return CellRunner(
-        cell, Pipeline(Stages(**stages), own_settings(cell.pipeline), cell.seed, meter), digest(identity), weights
-    )
+    return CellRunner(cell, Pipeline(Stages(**stages), own_settings(cell.pipeline), cell.seed, meter), plugins)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import trimesh
 
 from toolkit.sim.bullet import pybullet
 from toolkit.sim.client import Client
@@ -31,6 +30,8 @@ def add_compound(client: Client, hulls: Sequence[Path], grow: float = 0.0) -> in
 @lru_cache(maxsize=512)
 def convex_pieces(hulls: tuple[Path, ...]) -> list[Any]:
     """Convex meshes (trimesh) as they are read from files."""
+    import trimesh
+
     return [cast(Any, trimesh.load(hull, force="mesh")).convex_hull for hull in hulls]
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from toolkit.types import Float
@@ -217,6 +216,8 @@ def _normals(surface: Surface) -> Float:
 
 def hull_stl(points: Float) -> bytes | None:
     """Binary STL of the convex hull of points; None where they span no volume."""
+    import trimesh
+
     try:
         hull = trimesh.convex.convex_hull(np.unique(np.round(points, 6), axis=0))
     except Exception:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
@@ -59,6 +58,8 @@ def _stable(points: Float) -> Float:
 
     A rest is likely as the part of all directions, seen from the centre of mass, that its side of the hull takes up.
     """
+    import trimesh
+
     # By x first, since the hull's triangles follow the order of its points.
     _, first = np.unique(cubes(points[:, ::-1], _HULL_M), return_index=True)
     try:

@@ -1,0 +1,40 @@
+"""What JAX compiled is compiled once, by whichever process came first, and what one left half-written is not believed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+CODE = """
+import jax
+
+from toolkit.perception.compiled import keep_compiled
+
+keep_compiled()
+jax.jit(lambda x: 2 * x + 1)(1.0)
+"""
+
+
+def compile_in(cache: Path) -> dict[str, bytes]:
+    """Compile one program in another process; gives the programs that are kept then."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | {"TOOLKIT_CACHE": str(cache)}
+    done = subprocess.run([sys.executable, "-c", CODE], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return {path.name: path.read_bytes() for path in (cache / "compiled").glob("*/*-cache")}
+
+
+def test_programs_are_kept_and_broken_ones_made_again(tmp_path):
+    first = compile_in(tmp_path)
+    assert first
+    assert compile_in(tmp_path) == first
+    for path in (tmp_path / "compiled").glob("*/*-cache"):
+        path.write_bytes(path.read_bytes()[:-9])
+    assert compile_in(tmp_path).keys() == first.keys()
+    assert all(len(data) >= len(first[name]) - 8 for name, data in compile_in(tmp_path).items())
+
+
+def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path):
+    (tmp_path / "compiled").write_text("a file")
+    assert compile_in(tmp_path) == {}
