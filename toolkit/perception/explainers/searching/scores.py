@@ -15,7 +15,8 @@ from toolkit.types import Float
 _GRAZING = 0.1
 """Cosine to the camera below which a surface is not compared."""
 
-_BATCH = 1024
+_BATCH = 384
+"""Thirteen hypotheses, each moved in 27 ways, fill one batch."""
 
 
 class Sample(NamedTuple):
