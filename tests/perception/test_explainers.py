@@ -143,7 +143,7 @@ def test_models_that_are_one_keep_their_points_and_views() -> None:
     np.testing.assert_allclose(both.normals_at(np.arange(5)), one.normals_at(np.arange(5)), atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["agreement", "gain", "alone", "lead", "whole"])
+@pytest.mark.parametrize("name", ["agreement", "visible", "alone", "lead", "whole"])
 def test_better_evidence_is_trusted_more(name: str) -> None:
     _, explanation = explain(NOW, THEN)
     for placement in explanation.placements:

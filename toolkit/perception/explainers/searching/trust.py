@@ -15,18 +15,17 @@ from toolkit.perception.tabletop.table import Table
 from toolkit.types import Float
 
 _WEIGHTS = {
-    "agreement": 1.66,
-    "gain": -0.52,
-    "visible": 1.02,
+    "agreement": 1.37,
+    "visible": 1.01,
     "height": 1.34,
     "alone": 1.12,
-    "lead": 2.95,
-    "size": 2.23,
-    "still": -0.31,
-    "whole": 3.57,
-    "views": 1.67,
+    "lead": 2.88,
+    "size": 2.26,
+    "still": -0.29,
+    "whole": 3.58,
+    "views": 1.7,
 }
-_BIAS = -9.38
+_BIAS = -9.48
 """Logistic regression on procedural objects (experiments/benchmarks/trust.py), wrong answers counted four times."""
 
 _TALL_M = 0.03
@@ -54,10 +53,10 @@ def judge(
         table: the table.
 
     Returns:
-        By name: `agreement` with the pixels it shows in; `gain` over the empty table there; `visible`, the part of it
-        that nothing hides; `height` above the table; `alone`, how little it looks like a part of something larger;
-        `lead` over its next best place, or over being absent; `size`; `still`, 1 where it was not moved; `whole`, the
-        segmenter's confidence in its segments; `views`, the part of the frames that saw it.
+        By name: `agreement` with the pixels it shows in; `visible`, the part of it that nothing hides; `height` above
+        the table; `alone`, how little it looks like a part of something larger; `lead` over its next best place, or
+        over being absent; `size`; `still`, 1 where it was not moved; `whole`, the segmenter's confidence in its
+        segments; `views`, the part of the frames that saw it.
     """
     model, own = models[instance], chosen[instance]
     drawn = compose(chosen, background)
@@ -68,7 +67,6 @@ def judge(
     others = [other for i, other in models.items() if i != instance]
     return {
         "agreement": 1 - float(drawn.cost[pixels].sum()) / count / MOST_COST,
-        "gain": float((background[pixels] - drawn.cost[pixels]).sum()) / count / MOST_COST,
         "visible": len(pixels) / max(len(own.rendering.pixels), 1),
         "height": min(float(np.percentile(heights, 95)) / _TALL_M, 1.0),
         "alone": 1 - max((kinship(model, other) for other in others), default=0.0),
