@@ -1,4 +1,4 @@
-"""What JAX compiled is compiled once, by whichever process came first, and what one left half-written is not believed."""
+"""What JAX compiled is compiled once, by whichever process came first; what one left half-written is not believed."""
 
 from __future__ import annotations
 
