@@ -31,8 +31,8 @@ from toolkit.types import Float
 
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 1.0)
 SURE = 0.5
-WRONG = 4
-"""An answer that is wrong and sure costs as much as four right ones that are withheld."""
+WRONG = 8
+"""An answer that is wrong and sure costs as much as eight right ones that are withheld."""
 
 
 class Listener(Explainer):
