@@ -18,6 +18,9 @@ _GRAZING = 0.1
 _BATCH = 384
 """Thirteen hypotheses, each moved in 27 ways, fill one batch."""
 
+_LEAST_PIXELS = 1 << 17
+"""Images are filled up to this many pixels, or to twice as many again and again: one program serves most of them."""
+
 
 class Sample(NamedTuple):
     """Some points of a model, centred, in the table's axes; what pads it has no weight.
@@ -56,11 +59,24 @@ def score_motions(sample: Sample, turns: Float, places: Float, goal: Evidence, T
     yaw = np.pad(turns, (0, padding)).astype(np.float32).reshape(-1, _BATCH)
     place = np.pad(places, ((0, padding), (0, 0)), mode="edge").astype(np.float32).reshape(-1, _BATCH, 3)
     arrays = [jnp.asarray(array) for array in sample]
-    image = [
-        jnp.asarray(array, jnp.float32) for array in (goal.colours, goal.background, goal.depth, goal.K, T_camera_table)
+    image = [_filled(array) for array in (goal.colours, goal.background, goal.depth)]
+    camera = [jnp.asarray(array, jnp.float32) for array in (goal.K, T_camera_table)]
+    size = jnp.asarray(goal.background.shape, jnp.int32)
+    scores = [
+        _score(*arrays, jnp.asarray(y), jnp.asarray(p), *image, size, *camera) for y, p in zip(yaw, place, strict=True)
     ]
-    scores = [_score(*arrays, jnp.asarray(y), jnp.asarray(p), *image) for y, p in zip(yaw, place, strict=True)]
     return np.concatenate([np.asarray(s) for s in scores])[:count]
+
+
+def _filled(image: Float) -> jax.Array:
+    """The (P, ...) pixels of an (H, W, ...) image, row after row, and zeros to one of few lengths."""
+    pixels = image.reshape(image.shape[0] * image.shape[1], *image.shape[2:])
+    length = _LEAST_PIXELS
+    while length < len(pixels):
+        length *= 2
+    filled = np.zeros((length, *pixels.shape[1:]), np.float32)
+    filled[: len(pixels)] = pixels
+    return jnp.asarray(filled)
 
 
 @jax.jit
@@ -74,13 +90,12 @@ def _score(
     image: jax.Array,
     background: jax.Array,
     nearest: jax.Array,
+    size: jax.Array,
     K: jax.Array,
     T: jax.Array,
 ) -> jax.Array:
-    height, width = background.shape
-    flat = image.reshape(-1, 3), background.ravel(), nearest.ravel()
     eye = -T[:3, :3].T @ T[:3, 3]
-    one = partial(_gain, points, normals, colours, weights, *flat, (height, width), K, T, eye)
+    one = partial(_gain, points, normals, colours, weights, image, background, nearest, size, K, T, eye)
     return jax.vmap(one)(yaw, place)
 
 
@@ -92,7 +107,7 @@ def _gain(
     image: jax.Array,
     background: jax.Array,
     nearest: jax.Array,
-    size: tuple[int, int],
+    size: jax.Array,
     K: jax.Array,
     T: jax.Array,
     eye: jax.Array,
