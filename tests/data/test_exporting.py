@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from exported import rows_of, transform_of
 from written import small_capture
 
 from toolkit.data.bop import load_capture
@@ -139,18 +138,6 @@ def test_the_schema_in_the_docs_is_that_of_the_files():
 
 
 # BOP: read as its documentation says, scored as its papers say (Hodan et al., ECCVW 2020, Sec. 2.2).
-
-
-def rows_of(path: Path) -> list[dict]:
-    with path.open() as file:
-        lines = list(csv.DictReader(file))
-    assert list(lines[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
-    numbers = {"scene_id": int, "im_id": int, "obj_id": int, "score": float, "time": float}
-    found = [{key: kind(line[key]) for key, kind in numbers.items()} for line in lines]
-    for row, line in zip(found, lines, strict=True):
-        row["R"] = np.array(line["R"].split(" "), np.float64).reshape(3, 3)
-        row["t"] = np.array(line["t"].split(" "), np.float64)
-    return found
 
 
 class BopTruth:
@@ -290,16 +277,9 @@ def test_ros_poses_are_where_the_boxes_are_and_go(tmp_path):
     assert told["capture"] == "000042"
     poses = read_poses(folder / "poses.json")
     for entry, instance in ((told["objects"][0], poses.instances[0]), (told["objects"][2], poses.instances[2])):
-        now, then = _transform(entry["current"]), _transform(entry["goal"])
+        now, then = transform_of(entry["current"]), transform_of(entry["goal"])
         np.testing.assert_allclose(now, matrix(instance.T_world_box), atol=1e-6)
         np.testing.assert_allclose(then, MOTIONS[entry["goal_object"]] @ now, atol=1e-9)
         assert list(entry["size"].values()) == instance.size
     unknown = told["objects"][1]
     assert unknown["current"] is unknown["goal"] is None and unknown["reason"] == "it is new"
-
-
-def _transform(stamped):
-    assert stamped["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "base_link"}
-    at, turn = stamped["pose"]["position"], stamped["pose"]["orientation"]
-    R = Rotation.from_quat([turn[axis] for axis in "xyzw"]).as_matrix()
-    return make_transform(R, np.array([at[axis] for axis in "xyz"]))
