@@ -18,6 +18,7 @@ from toolkit.data.exporting.results import read_results
 from toolkit.errors import ToolkitError
 from toolkit.geometry import make_transform, rotation_z
 from toolkit.perception.database import Database
+from toolkit.perception.fusion import Models, clouds
 from toolkit.perception.tabletop.plane import pixel_rays
 from toolkit.pictures.poses import write_poses
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN
@@ -53,7 +54,8 @@ def result(folder: Path, made=None) -> Path:
     database = Database(current_frames(), found, instances, np.zeros((len(found), 1), np.float32))
     capture = load_capture(small_capture(folder / "000042"))
     findings = [Finding("doubtful", "it is dark", 0.3)]
-    write_poses(folder / "result", capture, database, estimates() if made is None else made, findings)
+    models = clouds(database, Models(database))
+    write_poses(folder / "result", capture, database, models, estimates() if made is None else made, findings)
     return folder / "result"
 
 

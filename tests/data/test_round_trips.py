@@ -68,7 +68,8 @@ def test_there_and_back(kind, session, known, tmp_path):
 
     session.database(capture.current)
     estimates = session.estimate(capture.goal)
-    write_poses(tmp_path / "result", capture, session.scene.database, estimates, session.findings)
+    scene = session.scene
+    write_poses(tmp_path / "result", capture, scene.database, scene.clouds(), estimates, session.findings)
     (result,) = results = read_results(tmp_path / "result")
     motions = [matrix(entry.T_goal_current) for entry in result.poses.objects]
     boxes = [min(TRUTH, key=lambda number, T=T: motion_error(T, number)) for T in motions]
