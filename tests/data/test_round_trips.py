@@ -19,7 +19,7 @@ from toolkit.data.importing import IMPORTERS
 from toolkit.data.importing.choosing import Frames
 from toolkit.data.importing.writing import Goal, import_capture
 from toolkit.geometry import invert, make_transform, transform_points
-from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.experiment import load_experiment, only_cell
 from toolkit.harness.session import Session
 from toolkit.pictures.poses import write_poses
 from toolkit.results.poses import matrix
@@ -35,8 +35,8 @@ QUICK = {"segmenter": "depth_plane", "explainer": "none", "refiner": "none"}
 
 @pytest.fixture(scope="module")
 def session():
-    (cell,) = expand(load_experiment("estimate", {f"pipeline.{slot}": [name] for slot, name in QUICK.items()}))
-    return Session(cell)
+    overrides = {f"pipeline.{slot}": [name] for slot, name in QUICK.items()}
+    return Session(only_cell(load_experiment("estimate", overrides)))
 
 
 @pytest.fixture(scope="module")
