@@ -15,7 +15,7 @@ from toolkit.data.bop import write_capture
 from toolkit.geometry import make_transform
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN
 from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame
-from toolkit.types import ObjectModel, TrueObject
+from toolkit.types import Float, ObjectModel, TrueObject
 
 TRUTH_FILES = ("models_info.json", "current/scene_gt.json", "goal/scene_gt.json")
 
@@ -23,18 +23,22 @@ TRUTH_FILES = ("models_info.json", "current/scene_gt.json", "goal/scene_gt.json"
 @cache
 def _written() -> Path:
     folder = Path(mkdtemp(prefix="toolkit-test-"))
-    truth = {number: _true(number) for number in (1, 2, 3)}
-    write_capture(folder, current_frames(), goal_frame(), truth)
+    write_capture(folder, current_frames(), goal_frame(), true_objects(np.eye(4)))
     return folder
 
 
-def _true(number: int) -> TrueObject:
+def true_objects(T_world_scene: Float) -> dict[int, TrueObject]:
+    """The boxes by number, in a world into which (4, 4) `T_world_scene` takes the little scene's."""
+    return {number: _true(number, T_world_scene) for number in (1, 2, 3)}
+
+
+def _true(number: int, T: Float) -> TrueObject:
     (now, size), (then, _) = NOW[number - 1], THEN[number - 1]
     box = np.array(size)
     low = np.array([-box[0] / 2, -box[1] / 2, 0])
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])[None]
     model = ObjectModel(number, f"box {number}", low, box, float(np.linalg.norm(box)), turn, np.zeros((0, 6)))
-    return TrueObject(model, *(make_transform(np.eye(3), np.array(at)) for at in (now, then)), number)
+    return TrueObject(model, *(T @ make_transform(np.eye(3), np.array(at)) for at in (now, then)), number)
 
 
 def small_capture(folder: Path, *, truth: bool = True) -> Path:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from exported import rows_of, transform_of
 from written import small_capture
 
 from toolkit.data.bop import load_capture
@@ -19,6 +18,7 @@ from toolkit.data.exporting.results import read_results
 from toolkit.errors import ToolkitError
 from toolkit.geometry import make_transform, rotation_z
 from toolkit.perception.database import Database
+from toolkit.perception.fusion import Models, clouds
 from toolkit.perception.tabletop.plane import pixel_rays
 from toolkit.pictures.poses import write_poses
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN
@@ -54,7 +54,8 @@ def result(folder: Path, made=None) -> Path:
     database = Database(current_frames(), found, instances, np.zeros((len(found), 1), np.float32))
     capture = load_capture(small_capture(folder / "000042"))
     findings = [Finding("doubtful", "it is dark", 0.3)]
-    write_poses(folder / "result", capture, database, estimates() if made is None else made, findings)
+    models = clouds(database, Models(database))
+    write_poses(folder / "result", capture, database, models, estimates() if made is None else made, findings)
     return folder / "result"
 
 
@@ -139,18 +140,6 @@ def test_the_schema_in_the_docs_is_that_of_the_files():
 
 
 # BOP: read as its documentation says, scored as its papers say (Hodan et al., ECCVW 2020, Sec. 2.2).
-
-
-def rows_of(path: Path) -> list[dict]:
-    with path.open() as file:
-        lines = list(csv.DictReader(file))
-    assert list(lines[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
-    numbers = {"scene_id": int, "im_id": int, "obj_id": int, "score": float, "time": float}
-    found = [{key: kind(line[key]) for key, kind in numbers.items()} for line in lines]
-    for row, line in zip(found, lines, strict=True):
-        row["R"] = np.array(line["R"].split(" "), np.float64).reshape(3, 3)
-        row["t"] = np.array(line["t"].split(" "), np.float64)
-    return found
 
 
 class BopTruth:
@@ -290,16 +279,9 @@ def test_ros_poses_are_where_the_boxes_are_and_go(tmp_path):
     assert told["capture"] == "000042"
     poses = read_poses(folder / "poses.json")
     for entry, instance in ((told["objects"][0], poses.instances[0]), (told["objects"][2], poses.instances[2])):
-        now, then = _transform(entry["current"]), _transform(entry["goal"])
+        now, then = transform_of(entry["current"]), transform_of(entry["goal"])
         np.testing.assert_allclose(now, matrix(instance.T_world_box), atol=1e-6)
         np.testing.assert_allclose(then, MOTIONS[entry["goal_object"]] @ now, atol=1e-9)
         assert list(entry["size"].values()) == instance.size
     unknown = told["objects"][1]
     assert unknown["current"] is unknown["goal"] is None and unknown["reason"] == "it is new"
-
-
-def _transform(stamped):
-    assert stamped["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "base_link"}
-    at, turn = stamped["pose"]["position"], stamped["pose"]["orientation"]
-    R = Rotation.from_quat([turn[axis] for axis in "xyzw"]).as_matrix()
-    return make_transform(R, np.array([at[axis] for axis in "xyz"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import struct
 import sys
@@ -13,10 +12,36 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from recorded import (
+    COLOR,
+    DEPTH,
+    FRAMES,
+    GOAL,
+    HAND_EYE,
+    INFO,
+    INTRINSICS,
+    STAMPS,
+    TF_MESSAGE,
+    TOPICS,
+    Bag,
+    flange,
+    imported,
+    told,
+    units,
+    write_bop,
+    write_colmap,
+    write_color,
+    write_nerfstudio,
+    write_open3d,
+    write_pixels,
+    write_polycam,
+    write_realsense,
+    write_ros,
+    write_tum,
+)
 from scipy.spatial.transform import Rotation
 from written import edit, small_capture
 
-import toolkit
 from toolkit.data.bop import load_capture
 from toolkit.data.importing import IMPORTERS
 from toolkit.data.importing.choosing import Frames, find, spread
@@ -27,47 +52,9 @@ from toolkit.data.importing.streams import Pixels
 from toolkit.data.importing.trajectory import Trajectory
 from toolkit.data.importing.writing import Goal, import_capture
 from toolkit.errors import ToolkitError
-from toolkit.geometry import invert, make_transform, rotation_z
+from toolkit.geometry import make_transform, rotation_z
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, K
-from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, true_motion
-
-INTRINSICS = f"{K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}"
-FRAMES = (*current_frames(), goal_frame())
-GOAL = len(FRAMES) - 1
-GL = np.diag([1.0, -1.0, -1.0, 1.0])
-HAND_EYE = make_transform(Rotation.from_euler("xyz", [0.1, -0.2, 1.5]).as_matrix(), np.array([0.03, -0.01, 0.06]))
-"""Poses are written of a flange, so that the hand-eye transform is needed."""
-
-
-def quaternion(T) -> list[float]:
-    return [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat().tolist()]
-
-
-def told(T) -> str:
-    return " ".join(map(repr, quaternion(T)))
-
-
-def write_color(path: Path, frame) -> str:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), frame.rgb[..., ::-1])
-    return path.name
-
-
-def units(frame, per_metre: float):
-    """Depth as a camera stores it; a goal image has none."""
-    depth = np.zeros(frame.rgb.shape[:2]) if frame.depth is None else frame.depth.astype(np.float64)
-    return np.rint(depth * per_metre).astype(np.uint16)
-
-
-def write_depth(path: Path, frame, per_metre: float = 1000) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), units(frame, per_metre))
-
-
-def imported(kind, source, out, goal=str(GOAL), frames=None, **settings):
-    recording = IMPORTERS.create(kind, settings).read(source)
-    import_capture(recording, out, Goal(goal), Frames(frames))
-    return load_capture(out)
+from toolkit.plugin_kit.conformance.scene import goal_frame
 
 
 def is_the_same(capture, depth_m: float, poses: float = 1e-9) -> None:
@@ -86,16 +73,7 @@ def is_the_same(capture, depth_m: float, poses: float = 1e-9) -> None:
 
 @pytest.fixture
 def tum(tmp_path):
-    root = tmp_path / "tum"
-    rgb, depth, poses = ["# colour"], [], ["# time tx ty tz qx qy qz qw"]
-    for i, frame in enumerate(FRAMES):
-        rgb.append(f"{100 + i}.000 rgb/{write_color(root / f'rgb/{i}.png', frame)}")
-        write_depth(root / f"depth/{i}.png", frame, 5000)
-        depth.append(f"{100 + i}.010 depth/{i}.png")
-        poses.append(f"{100 + i}.000 {told(frame.camera.T_world_camera)}")
-    for name, lines in (("rgb", rgb), ("depth", depth), ("groundtruth", poses)):
-        (root / f"{name}.txt").write_text("\n".join(lines))
-    return root
+    return write_tum(tmp_path / "tum").source
 
 
 def test_tum(tum, tmp_path):
@@ -136,18 +114,7 @@ def test_poses_between_two_stamps_are_interpolated():
 
 @pytest.fixture
 def open3d(tmp_path):
-    root = tmp_path / "open3d"
-    log = []
-    for i, frame in enumerate(FRAMES):
-        # Without padding: 10 comes after 9.
-        write_color(root / f"color/{i + 7}.png", frame)
-        write_depth(root / f"depth/{i + 7}.png", frame)
-        log += [f"{i} {i} {i + 1}", *(" ".join(map(repr, row)) for row in frame.camera.T_world_camera.tolist())]
-    (root / "scene").mkdir()
-    (root / "scene/trajectory.log").write_text("\n".join(log) + "\n")
-    stored = {"width": 320, "height": 240, "intrinsic_matrix": K.T.ravel().tolist()}
-    (root / "camera_intrinsic.json").write_text(json.dumps(stored))
-    return root
+    return write_open3d(tmp_path / "open3d").source
 
 
 def test_open3d(open3d, tmp_path):
@@ -169,18 +136,7 @@ def test_open3d_says_what_is_missing(open3d, tmp_path):
 
 @pytest.fixture
 def nerfstudio(tmp_path):
-    root = tmp_path / "nerf"
-    frames = []
-    for i, frame in enumerate(FRAMES):
-        entry = {"file_path": f"images/{write_color(root / f'images/f_{i}.png', frame)}"}
-        entry["transform_matrix"] = (frame.camera.T_world_camera @ GL).tolist()
-        if frame.depth is not None:
-            write_depth(root / f"depths/f_{i}.png", frame)
-            entry["depth_file_path"] = f"depths/f_{i}.png"
-        frames.append(entry)
-    camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2] + 0.5, "cy": K[1, 2] + 0.5, "w": 320, "h": 240}
-    (root / "transforms.json").write_text(json.dumps({"camera_model": "OPENCV", **camera, "k1": 0, "frames": frames}))
-    return root
+    return write_nerfstudio(tmp_path / "nerf").source
 
 
 def test_nerfstudio(nerfstudio, tmp_path):
@@ -225,17 +181,8 @@ def test_nerfstudio_says_what_is_wrong(nerfstudio, tmp_path, change, said):
 
 
 def test_polycam(tmp_path):
-    root = tmp_path / "polycam/keyframes"
-    (root / "corrected_cameras").mkdir(parents=True)
-    for i, frame in enumerate(FRAMES):
-        T = frame.camera.T_world_camera @ GL
-        camera = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "width": 320, "height": 240}
-        camera |= {f"t_{r}{c}": T[r, c] for r in range(3) for c in range(4)}
-        (root / f"corrected_cameras/{1000 + i}.json").write_text(json.dumps({**camera, "blur_score": 1.0}))
-        write_color(root / f"corrected_images/{1000 + i}.png", frame)
-        if frame.depth is not None:
-            write_depth(root / f"depth/{1000 + i}.png", frame)
-    is_the_same(imported("polycam", tmp_path / "polycam", tmp_path / "out", goal="1004"), depth_m=1e-3)
+    source = write_polycam(tmp_path / "polycam").source
+    is_the_same(imported("polycam", source, tmp_path / "out", goal="1004"), depth_m=1e-3)
 
 
 # COLMAP, written by pycolmap.
@@ -243,131 +190,34 @@ def test_polycam(tmp_path):
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_colmap(tmp_path, binary):
-    pycolmap = pytest.importorskip("pycolmap")
-    root, model, scale = tmp_path / "colmap", pycolmap.Reconstruction(), 0.37
-    params = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, 0, 0, 0, 0]
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(model="OPENCV", width=320, height=240, params=params, camera_id=1)
-    )
-    for i, frame in enumerate(FRAMES):
-        T = invert(frame.camera.T_world_camera)
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(T[:3, :3]), T[:3, 3] / scale)
-        image = pycolmap.Image(name=write_color(root / f"images/{i}.png", frame), camera_id=1, image_id=i + 1)
-        model.add_image_with_trivial_frame(image, pose)
-        if frame.depth is not None:
-            write_depth(root / f"depth/{i}.png", frame)
-    (root / "sparse/0").mkdir(parents=True)
-    (model.write_binary if binary else model.write_text)(str(root / "sparse/0"))
-    is_the_same(imported("colmap", root, tmp_path / "out", scale=scale), depth_m=1e-3)
+    recorded = write_colmap(tmp_path / "colmap", binary=binary)
+    is_the_same(imported("colmap", recorded.source, tmp_path / "out", **recorded.settings), depth_m=1e-3)
     with pytest.raises(ToolkitError, match="'scale'"):
         IMPORTERS.create("colmap", {})
 
 
 # ROS, written by rosbags.
 
-STAMPS = [1_700_000_000_000_000_000 + i * 500_000_000 for i in range(len(FRAMES))]
-COLOR, DEPTH, INFO = "/cam/color/image_raw", "/cam/depth/image_raw", "/cam/color/camera_info"
-TOPICS = {"color": COLOR, "depth": DEPTH, "info": INFO}
-TF_MESSAGE = "tf2_msgs/msg/TFMessage"
-LATE_NS = 3_000_000
+KINDS_OF_BAGS = ("bag", "sqlite3", "mcap")
 
 
-class Bag:
-    """A recording that is being written, of one of three formats."""
-
-    def __init__(self, path: Path, kind: str) -> None:
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self.first = kind == "bag"
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.first else Stores.ROS2_HUMBLE)
-        if self.first:
-            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_MESSAGE))
-        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        self.writer = Writer1(path) if self.first else Writer2(path, version=9, storage_plugin=plugin)
-        self.connections = {}
-
-    def __enter__(self):
-        self.writer.open()
-        return self
-
-    def __exit__(self, *_):
-        self.writer.close()
-
-    def make(self, name: str, *values, **named):
-        return self.store.types[name](*values, **named)
-
-    def header(self, ns: int, frame: str):
-        stamp = self.make("builtin_interfaces/msg/Time", ns // 10**9, ns % 10**9)
-        numbered = (0,) if self.first else ()
-        return self.make("std_msgs/msg/Header", *numbered, stamp, frame)
-
-    def write(self, topic: str, ns: int, name: str, message) -> None:
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, name, typestore=self.store)
-        serialize = self.store.serialize_ros1 if self.first else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], ns, serialize(message, name))
-
-    def image(self, topic: str, ns: int, pixels, encoding: str, pad: int = 0) -> None:
-        data = pixels.reshape(len(pixels), -1).view(np.uint8)
-        data = np.pad(data, ((0, 0), (0, pad)))
-        header = self.header(ns, "optical")
-        message = self.make(
-            "sensor_msgs/msg/Image", header, *pixels.shape[:2], encoding, 0, data.shape[1], data.ravel()
-        )
-        self.write(topic, ns + LATE_NS, "sensor_msgs/msg/Image", message)
-
-    def camera(self, topic: str, ns: int) -> None:
-        roi = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-        P = np.hstack([K, np.zeros((3, 1))])
-        fields = [240, 320, "plumb_bob", np.zeros(5), K.ravel(), np.eye(3).ravel(), P.ravel(), 0, 0, roi]
-        message = self.make("sensor_msgs/msg/CameraInfo", self.header(ns, "optical"), *fields)
-        self.write(topic, ns, "sensor_msgs/msg/CameraInfo", message)
-
-    def pose(self, T):
-        at = self.make("geometry_msgs/msg/Point", *T[:3, 3].tolist())
-        return self.make("geometry_msgs/msg/Pose", at, self.make("geometry_msgs/msg/Quaternion", *quaternion(T)[3:]))
-
-    def transform(self, ns: int, parent: str, child: str, T):
-        at = self.make("geometry_msgs/msg/Vector3", *T[:3, 3].tolist())
-        turn = self.make("geometry_msgs/msg/Quaternion", *quaternion(T)[3:])
-        inner = self.make("geometry_msgs/msg/Transform", at, turn)
-        return self.make("geometry_msgs/msg/TransformStamped", self.header(ns, parent), child, inner)
-
-
-def flange(frame):
-    return frame.camera.T_world_camera @ invert(HAND_EYE)
-
-
-def write_pixels(bag: Bag) -> None:
-    for ns, frame in zip(STAMPS, FRAMES, strict=True):
-        bag.camera(INFO, ns)
-        bag.image(COLOR, ns, frame.rgb[..., ::-1].copy(), "bgr8", pad=4)
-        bag.image(DEPTH, ns + 2_000_000, units(frame, 1000), "16UC1")
-
-
-@pytest.fixture(params=["bag", "sqlite3", "mcap"])
-def bag(request, tmp_path):
-    pytest.importorskip("rosbags")
-    return Bag(tmp_path / ("ros.bag" if request.param == "bag" else "ros"), request.param)
-
-
-def test_ros_with_a_topic_of_poses_and_a_hand_eye_transform(bag, tmp_path):
-    with bag:
-        write_pixels(bag)
-        for ns, frame in zip(STAMPS, FRAMES, strict=True):
-            name = "geometry_msgs/msg/PoseStamped"
-            bag.write("/arm", ns, name, bag.make(name, bag.header(ns, "base"), bag.pose(flange(frame))))
-    settings = {**TOPICS, "pose": "/arm", "hand_eye": told(HAND_EYE)}
-    is_the_same(imported("ros", bag.writer.path, tmp_path / "out", **settings), depth_m=1e-3)
+@pytest.mark.parametrize("kind", KINDS_OF_BAGS)
+def test_ros_with_a_topic_of_poses_and_a_hand_eye_transform(kind, tmp_path):
+    recorded = write_ros(tmp_path / "ros", kind=kind)
+    source, settings = recorded.source, recorded.settings
+    is_the_same(imported("ros", source, tmp_path / "out", **settings), depth_m=1e-3)
     with pytest.raises(ToolkitError, match="hand_eye=X Y Z"):
-        imported("ros", bag.writer.path, tmp_path / "other", **TOPICS, pose="/arm")
+        imported("ros", source, tmp_path / "other", **TOPICS, pose="/arm")
     with pytest.raises(
         ToolkitError, match="nothing of the topic /cam/color/image_rw; did you mean '/cam/color/image_raw'"
     ):
-        imported("ros", bag.writer.path, tmp_path / "other", **{**TOPICS, "color": "/cam/color/image_rw"})
+        imported("ros", source, tmp_path / "other", **{**settings, "color": "/cam/color/image_rw"})
+
+
+@pytest.fixture(params=KINDS_OF_BAGS)
+def bag(request, tmp_path):
+    pytest.importorskip("rosbags")
+    return Bag(tmp_path / ("ros.bag" if request.param == "bag" else "ros"), request.param)
 
 
 def test_ros_with_tf(bag, tmp_path):
@@ -432,55 +282,6 @@ def test_what_is_no_recording_of_ros_or_has_no_poses_is_named(tmp_path):
 # RealSense, recorded by pyrealsense2 from a device of its own that has no hardware.
 
 
-@pytest.fixture(scope="module")
-def realsense(tmp_path_factory):
-    rs = pytest.importorskip("pyrealsense2")
-    path = tmp_path_factory.mktemp("realsense") / "recorded.db3"
-    device = rs.software_device()
-    sensors, profiles = [], []
-    for uid, (kind, format_, bytes_) in enumerate(
-        ((rs.stream.depth, rs.format.z16, 2), (rs.stream.color, rs.format.rgb8, 3))
-    ):
-        sensor = device.add_sensor(kind.name)
-        stream = rs.video_stream()
-        stream.type, stream.index, stream.uid, stream.fps, stream.bpp, stream.fmt = kind, 0, uid, 30, bytes_, format_
-        stream.width, stream.height = 320, 240
-        intrinsics = rs.intrinsics()
-        intrinsics.width, intrinsics.height, intrinsics.model, intrinsics.coeffs = (
-            320,
-            240,
-            rs.distortion.none,
-            [0.0] * 5,
-        )
-        intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-        stream.intrinsics = intrinsics
-        profiles.append(sensor.add_video_stream(stream).as_video_stream_profile())
-        sensors.append(sensor)
-    sensors[0].add_read_only_option(rs.option.depth_units, 1e-4)
-    same = rs.extrinsics()
-    same.rotation, same.translation = np.eye(3).ravel().tolist(), [0.0] * 3
-    profiles[0].register_extrinsics_to(profiles[1], same)
-    profiles[1].register_extrinsics_to(profiles[0], same)
-    recorder, syncer = rs.recorder(str(path), device), rs.syncer()
-    recorded = recorder.query_sensors()
-    for sensor, profile in zip(recorded, profiles, strict=True):
-        sensor.open(profile)
-        sensor.start(syncer)
-    for number, frame in enumerate(FRAMES):
-        depth = units(frame if frame.depth is not None else FRAMES[0], 1e4)
-        for sensor, profile, pixels in zip(sensors, profiles, (depth, frame.rgb), strict=True):
-            sent = rs.software_video_frame()
-            sent.pixels, sent.stride, sent.bpp = pixels, pixels.strides[0], pixels.strides[1]
-            sent.timestamp, sent.domain = 1e6 + 500.0 * number, rs.timestamp_domain.system_time
-            sent.frame_number, sent.profile, sent.depth_units = number, profile, 1e-4
-            sensor.on_video_frame(sent)
-    for sensor in recorded:
-        sensor.stop()
-        sensor.close()
-    del recorder, recorded, sensor
-    return path
-
-
 def seen_by_both(capture):
     """Aligning widens what is near by a pixel; everywhere else, depth is as it was."""
     for frame, known in zip(capture.current, FRAMES, strict=False):
@@ -491,16 +292,15 @@ def seen_by_both(capture):
 
 
 @pytest.mark.slow  # the library's playback leaves frames out on a busy machine
-def test_realsense(realsense, tmp_path):
-    lines = [f"{1000 + 0.5 * i} {told(flange(frame))}" for i, frame in enumerate(FRAMES)]
-    (tmp_path / "arm.txt").write_text("\n".join(lines))
-    settings = {"poses": str(tmp_path / "arm.txt"), "hand_eye": told(HAND_EYE)}
-    capture = imported("realsense", realsense, tmp_path / "out", **settings)
+def test_realsense(tmp_path):
+    recorded = write_realsense(tmp_path / "realsense")
+    capture = imported("realsense", recorded.source, tmp_path / "out", **recorded.settings)
     assert [f.index for f in capture.current] == [0, 1, 2, 3]
     seen_by_both(capture)
-    (tmp_path / "arm.txt").write_text("\n".join(line.replace("100", "900", 1) for line in lines))
+    arm = Path(recorded.settings["poses"])
+    arm.write_text("\n".join(line.replace("100", "900", 1) for line in arm.read_text().splitlines()))
     with pytest.raises(ToolkitError, match=r"its frames are stamped 1000\.000 s to 1002\.000 s"):
-        imported("realsense", realsense, tmp_path / "other", **settings)
+        imported("realsense", recorded.source, tmp_path / "other", **recorded.settings)
 
 
 class Played:
@@ -537,15 +337,7 @@ def test_record_takes_a_picture_for_every_pose(tmp_path, monkeypatch):
 
 @pytest.fixture
 def bop(tmp_path):
-    """DATASET/test/000001 and 000002, the current and the goal scene of a capture, and DATASET/models."""
-    own = small_capture(tmp_path / "own")
-    for number, name in ((1, "current"), (2, "goal")):
-        scene = shutil.copytree(own / name, tmp_path / f"dataset/test/{number:06d}")
-        edit(scene / "scene_gt.json", lambda data: [e.pop("T_world_model") for image in data.values() for e in image])
-        edit(scene / "scene_gt.json", lambda data: [e.pop("inst_id") for image in data.values() for e in image])
-    (tmp_path / "dataset/models").mkdir()
-    shutil.copy(own / "models_info.json", tmp_path / "dataset/models/models_info.json")
-    return tmp_path / "dataset/test"
+    return write_bop(tmp_path / "dataset").source.parent
 
 
 def bop_pair(bop, out, **settings):
@@ -556,7 +348,7 @@ def bop_pair(bop, out, **settings):
 
 def test_two_bop_scenes_of_the_same_objects_are_a_pair_with_truth(bop, tmp_path):
     capture, notes = bop_pair(bop, tmp_path / "out")
-    original = load_capture(tmp_path / "own")
+    original = load_capture(small_capture(tmp_path / "own"))
     assert notes == () and sorted(capture.truth) == sorted(original.truth)
     for instance, known in original.truth.items():
         np.testing.assert_allclose(capture.truth[instance].T_goal_current, known.T_goal_current, atol=1e-9)
@@ -664,16 +456,3 @@ def test_a_library_that_is_missing_is_named_with_its_extra(kind, module, tmp_pat
     settings = {"colmap": {"scale": 1.0}, "ros": {}, "realsense": {"poses": str(tmp_path / "poses.txt")}}[kind]
     with pytest.raises(ToolkitError, match=rf"needs {module}: pip install 'rearrange-toolkit\[{kind}\]'"):
         IMPORTERS.create(kind, settings).read(tmp_path / "file")
-
-
-def test_an_imported_capture_gives_the_motions_of_the_original(tum, tmp_path):
-    """From a folder of the TUM benchmark's layout, whose world is another one."""
-    T = make_transform(Rotation.from_euler("xyz", [1.2, 0.4, -2.0]).as_matrix(), np.array([0.4, -1.0, 2.0]))
-    poses = [f"{100 + i} {told(T @ frame.camera.T_world_camera)}" for i, frame in enumerate(FRAMES)]
-    (tum / "groundtruth.txt").write_text("\n".join(poses))
-    capture = imported("tum", tum, tmp_path / "out", intrinsics=INTRINSICS)
-    session = toolkit.Session("estimate")
-    session.database(capture.current)
-    found = [invert(T) @ e.T_goal_current @ T for e in session.estimate(capture.goal) if e.T_goal_current is not None]
-    off = np.array([[np.abs(motion - true_motion(number)).max() for motion in found] for number in (1, 2, 3)])
-    assert sorted(off.argmin(axis=0)) == [0, 1, 2] and off.min(axis=0).max() < 0.01

@@ -9,7 +9,7 @@ import pytest
 
 import toolkit
 from toolkit.errors import ToolkitError
-from toolkit.harness.experiment import expand, load_experiment
+from toolkit.harness.experiment import load_experiment, only_cell
 from toolkit.perception.checks.capture import RefusedError
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, camera, shoot
 from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame
@@ -69,9 +69,9 @@ def test_doubt_caps_what_a_session_says(session):
 
 
 def test_a_session_takes_settings_that_were_read_and_no_sweep():
-    (cell,) = expand(load_experiment("estimate"))
+    cell = only_cell(load_experiment("estimate"))
     assert toolkit.Session(cell).weights == toolkit.Session("estimate").weights
-    with pytest.raises(ToolkitError, match="runs one setting"):
+    with pytest.raises(ToolkitError, match="one setting is run here"):
         toolkit.Session("matchers")
     with pytest.raises(AttributeError, match="nothing"):
         toolkit.nothing  # noqa: B018

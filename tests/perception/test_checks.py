@@ -227,6 +227,38 @@ def test_black_and_white_images_are_told():
     assert check_current(every)[0].severity == "doubtful"
 
 
+def lit(frame, *gains):
+    return replace(frame, rgb=(frame.rgb * np.array(gains)).clip(0, 255).astype(np.uint8))
+
+
+def swapped(frame):
+    return replace(frame, rgb=np.ascontiguousarray(frame.rgb[..., ::-1]))
+
+
+def on_grey(frame):
+    """The table without any colour, and what stands on it as it is."""
+    things = np.any(list(frame.true_masks.values()), axis=0)[..., None]
+    return replace(frame, rgb=np.where(things, frame.rgb, frame.rgb.mean(axis=2, keepdims=True)).astype(np.uint8))
+
+
+def test_red_and_blue_in_each_others_place_are_told():
+    wood, seen = [lit(frame, 1, 0.8, 0.6) for frame in frames()], lit(goal(), 1, 0.8, 0.6)
+    for one, others in ((swapped(seen), wood), (seen, [swapped(frame) for frame in wood])):
+        finding = only(check_goal(one, others))
+        assert (finding.severity, finding.shown) == ("doubtful", "table") and "red and blue" in finding.sentence
+    assert check_goal(swapped(seen), [swapped(frame) for frame in wood]) == []
+
+
+def test_other_light_a_grey_table_and_a_goal_without_colour_are_not_taken_for_it():
+    wood, seen = [lit(frame, 1, 0.8, 0.6) for frame in frames()], lit(goal(), 1, 0.8, 0.6)
+    # Under the last one, the table alone looks as if red and blue were swapped; not so what stands on it.
+    for light in ((0.6, 0.9, 1), (1, 0.9, 0.6), (0.36, 0.8, 1)):
+        assert check_goal(lit(seen, *light), wood) == []
+    colourless = np.repeat(seen.rgb.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
+    assert check_goal(replace(seen, rgb=colourless), wood) == []
+    assert check_goal(on_grey(swapped(goal())), [on_grey(frame) for frame in frames()]) == []
+
+
 def test_a_frame_without_a_table_is_left_out_and_none_with_one_is_doubted():
     depth = np.zeros_like(frames()[0].depth)
     depth[:10, :10] = 1 + 0.1 * np.random.default_rng(0).random((10, 10))

@@ -19,7 +19,7 @@ from toolkit.data.dataset import build_dataset
 from toolkit.data.tabletop import TabletopConfig
 from toolkit.geometry import make_transform, rotation_angle, rotation_z, transform_points
 from toolkit.perception.assignment import assign_instances, contenders, instance_similarity, restrict
-from toolkit.perception.fusion import FusedModel, Models, Patch, RefineTask, Start, fuse
+from toolkit.perception.fusion import FusedModel, Models, Patch, RefineTask, Start, clouds, fuse
 from toolkit.perception.jax_geometry import rotation_exp
 from toolkit.perception.lighting import estimate_light, relit
 from toolkit.perception.pipeline import Pipeline, PipelineSettings
@@ -78,6 +78,18 @@ def test_a_fused_model_lies_on_the_object(capture, database, tasks):
         assert model.seen_by.sum(axis=1).max() >= 2 and model.seen_by.any(axis=1).all()
         np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-5)
         assert ((model.colors >= 0) & (model.colors <= 255)).all()
+
+
+def test_clouds_are_the_models_that_are_there_in_the_users_world(database, monkeypatch):
+    models = Models(database)
+    known = {int(instance): models.get(int(instance)) for instance in np.unique(database.instances)}
+    monkeypatch.setattr("toolkit.perception.fusion.fuse", lambda *_: pytest.fail("fused again"))
+    T = make_transform(Rotation.from_euler("xyz", [1.2, 0.4, -2.0]).as_matrix(), np.array([0.4, -1.0, 2.0]))
+    made = clouds(database.placed(T), models)
+    assert made.keys() == known.keys()
+    for instance, (points, colors) in made.items():
+        np.testing.assert_allclose(points, transform_points(T, known[instance].points), atol=1e-6)
+        np.testing.assert_array_equal(colors, known[instance].colors)
 
 
 def test_normals_of_a_sphere_are_its_radii():

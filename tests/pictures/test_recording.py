@@ -21,7 +21,7 @@ from toolkit.harness.experiment import Cell, expand, load_experiment
 from toolkit.harness.runs import RunOptions
 from toolkit.harness.view import open_viewer, view_capture, view_scene, worst_table
 from toolkit.perception.database import Database
-from toolkit.perception.fusion import fuse
+from toolkit.perception.fusion import Models, clouds, fuse
 from toolkit.perception.regions import lift_segment
 from toolkit.pictures.film import Film, record_poses
 from toolkit.pictures.recording import record_scene
@@ -65,7 +65,7 @@ def known(capture):
     ]
     lost = Failure("pnp", "no consensus")
     estimates[2] = PoseEstimate(2, Segment(masks[2][1]), masks[2][0], None, lost)
-    return database, estimates
+    return database, clouds(database, Models(database)), estimates
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def blob(logged):
 
 
 def test_models_are_shown_where_they_are_and_where_they_are_taken_to_be(known, scene_file):
-    database, estimates = known
+    database, _, estimates = known
     model = fuse(database, estimates[0].instance)
     now = scene_file[f"/current/instances/{estimates[0].instance}"]
     np.testing.assert_allclose(now["positions"], model.points, atol=1e-6)
@@ -124,7 +124,7 @@ def test_the_truth_is_shown_as_boxes(capture, scene_file):
 
 
 def test_what_is_said_of_every_object_is_written_on_it(capture, known, scene_file):
-    names = [capture.truth[e.instance].model.name for e in known[1]]
+    names = [capture.truth[e.instance].model.name for e in known[-1]]
     labels = scene_file["/goal/camera/objects"]["labels"]
     assert labels == [f"0 {names[0]}: 0.88, hidden", f"1 {names[1]}: 0.88, hidden", f"2 {names[2]}: failed"]
     assert scene_file["/goal/estimates/0"]["labels"] == labels[:1]
@@ -138,9 +138,8 @@ def test_what_is_said_of_every_object_is_written_on_it(capture, known, scene_fil
 
 
 def test_a_capture_without_truth_is_recorded_too(capture, known, read, tmp_path):
-    database, estimates = known
     unknown = replace(capture, truth=None, goal=replace(capture.goal, true_masks=None))
-    record_scene(tmp_path / "scene.rrd", "unknown", unknown, database, estimates)
+    record_scene(tmp_path / "scene.rrd", "unknown", unknown, *known)
     found = read(tmp_path / "scene.rrd")
     assert not [entity for entity in found if "truth" in entity]
     assert found["/goal/camera/objects"]["labels"][0] == "0: 0.88, hidden"

@@ -128,14 +128,9 @@ def read_cell(experiment: str, choices: Mapping[str, Any]) -> Cell:
     Raises:
         ToolkitError: they make several.
     """
-    from toolkit.harness.experiment import expand
+    from toolkit.harness.experiment import only_cell
 
-    cells = expand(read_experiment(experiment, choices))
-    if len(cells) > 1:
-        raise ToolkitError(
-            f"this command runs one setting, but {len(cells)} are asked for; use `toolkit ablate` to sweep"
-        )
-    return cells[0]
+    return only_cell(read_experiment(experiment, choices))
 
 
 def register_plugin_files(files: Iterable[Path]) -> None:

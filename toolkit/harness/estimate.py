@@ -14,6 +14,7 @@ from toolkit.harness.runs import writable
 from toolkit.harness.session import Session
 from toolkit.perception.checks.capture import RefusedError, refuse
 from toolkit.perception.database import Database
+from toolkit.perception.fusion import Clouds
 from toolkit.pictures.findings import illustrated
 from toolkit.pictures.poses import missing_instances, write_poses
 from toolkit.progress import Progress
@@ -30,11 +31,13 @@ class Answer:
     Attributes:
         estimates: one per goal object.
         database: of the current scene, its instances as the goal shows them.
+        clouds: of all of its instances.
         findings: what was found wrong with the capture, worst first.
     """
 
     estimates: list[PoseEstimate]
     database: Database
+    clouds: Clouds
     findings: list[Finding]
 
     def points(self) -> list[Float | None]:
@@ -122,7 +125,7 @@ def _estimate(capture: Capture, session: Session, out: Path, progress: Progress)
     for finding in findings:
         progress.say(f"{capture.name}: {finding.severity}: {finding.sentence}")
     progress.now("Writing")
-    answer = Answer(estimates, session.scene.database, findings)
+    answer = Answer(estimates, session.scene.database, session.scene.clouds(), findings)
     with writable(f"'{out}'"):
-        write_poses(out, capture, answer.database, estimates, answer.findings)
+        write_poses(out, capture, answer.database, answer.clouds, estimates, findings)
     return answer

@@ -208,6 +208,20 @@ def expand(experiment: Experiment) -> list[Cell]:
     return cells
 
 
+def only_cell(experiment: Experiment) -> Cell:
+    """The cell of an experiment that makes one.
+
+    Raises:
+        ToolkitError: it makes several, or as `expand`.
+    """
+    cells = expand(experiment)
+    if len(cells) > 1:
+        raise ToolkitError(
+            f"one setting is run here, but '{experiment.name}' makes {len(cells)}; use `toolkit ablate` to sweep"
+        )
+    return cells[0]
+
+
 def episode_settings(rearrange: RearrangeChoice) -> EpisodeSettings:
     """The rearrangement's own settings, without the stage choices."""
     return EpisodeSettings(**{name: getattr(rearrange, name) for name in EpisodeSettings.model_fields})

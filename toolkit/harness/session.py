@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.errors import ToolkitError
-from toolkit.harness.experiment import Cell, expand, load_experiment
+from toolkit.harness.experiment import Cell, load_experiment, only_cell
 from toolkit.harness.worker import make_runner, require_ready
 from toolkit.perception.checks.capture import by_severity, check_current, check_goal, doubted, refuse, usable
 from toolkit.perception.database import Database
@@ -30,7 +30,7 @@ class Session:
     """
 
     def __init__(self, experiment: str | Path | Cell = "estimate") -> None:
-        cell = experiment if isinstance(experiment, Cell) else _only_cell(str(experiment))
+        cell = experiment if isinstance(experiment, Cell) else only_cell(load_experiment(str(experiment)))
         require_ready([cell])
         self._runner = make_runner(cell, cache=None)
         self._scene: Scene | None = None
@@ -80,10 +80,3 @@ class Session:
         if self._scene is None:
             raise ToolkitError("the session has seen no current frames; call `database` first")
         return self._scene
-
-
-def _only_cell(experiment: str) -> Cell:
-    cells = expand(load_experiment(experiment))
-    if len(cells) > 1:
-        raise ToolkitError(f"a session runs one setting, but '{experiment}' makes {len(cells)}")
-    return cells[0]

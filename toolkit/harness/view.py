@@ -154,4 +154,4 @@ def _record(path: Path, name: str, capture: Capture, cell: Cell, cache: Cache | 
         raise
     except Exception as error:
         raise ToolkitError(f"{name}: the pipeline breaks with {type(error).__name__}: {error}") from error
-    record_scene(path, name, replace(capture, goal=goal), scene.database, estimates)
+    record_scene(path, name, replace(capture, goal=goal), scene.database, scene.clouds(), estimates)

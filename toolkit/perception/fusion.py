@@ -131,20 +131,6 @@ def united(models: Sequence[FusedModel]) -> FusedModel:
     )
 
 
-def cloud(database: Database, instance: int) -> tuple[Float, Float]:
-    """(N, 3) float32 world points of an instance and their (N, 3) RGB colours, 0..255.
-
-    They are fused in the table's own frame, or as they were measured where fusion leaves too few.
-    """
-    model = fuse(database.level, instance)
-    if isinstance(model, FusedModel):
-        return transform_points(database.T_world_level, model.points).astype(np.float32), model.colors
-    rows = database.instance(instance)
-    pixels = [(database.frame_of(row).rgb, database.regions[row].pixels) for row in rows]
-    colors = np.concatenate([rgb[xy[:, 1], xy[:, 0]] for rgb, xy in pixels])
-    return np.concatenate([database.regions[row].points for row in rows]), colors.astype(np.float32)
-
-
 class Models:
     """The fused models of a database, made when first asked for."""
 
@@ -186,6 +172,20 @@ class Models:
         """The models of all instances that have one."""
         found = (self.get(int(instance)) for instance in np.unique(self._database.instances))
         return [model for model in found if isinstance(model, FusedModel)]
+
+
+Clouds = dict[int, tuple[Float, Float]]
+"""By instance, (N, 3) float32 world points of it in metres, and their (N, 3) float32 RGB colours, 0..255."""
+
+
+def clouds(database: Database, models: Models) -> Clouds:
+    """The points of every instance, fused, or as they were measured where fusion leaves too few.
+
+    Args:
+        database: in the user's world.
+        models: those of `database.level`.
+    """
+    return {instance: _cloud(database, models, instance) for instance in np.unique(database.instances).tolist()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +236,16 @@ class RefineTask:
         """The task of object `number` of those that the goal image shows."""
         others = (*segments[:number], *segments[number + 1 :])
         return cls(goal, segments[number], others, instance, models, starts)
+
+
+def _cloud(database: Database, models: Models, instance: int) -> tuple[Float, Float]:
+    model = models.get(instance)
+    if isinstance(model, FusedModel):
+        return transform_points(database.T_world_level, model.points).astype(np.float32), model.colors
+    rows = database.instance(instance)
+    pixels = [(database.frame_of(row).rgb, database.regions[row].pixels) for row in rows]
+    colors = np.concatenate([rgb[xy[:, 1], xy[:, 0]] for rgb, xy in pixels])
+    return np.concatenate([database.regions[row].points for row in rows]), colors.astype(np.float32)
 
 
 def _patch(frame: Frame, region: Region) -> Patch:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolkit.geometry import invert
 from toolkit.perception.database import Database
 from toolkit.perception.explanation import ExplainTask, Placement
-from toolkit.perception.fusion import Models, RefineTask, Start
+from toolkit.perception.fusion import Clouds, Models, RefineTask, Start, clouds
 from toolkit.perception.lifting import merge
 from toolkit.perception.parts import Parts
 from toolkit.perception.ranking import rank
@@ -46,6 +46,10 @@ class Scene:
         T_world_level = self.database.T_world_level
         estimates = self._estimate(goal.moved(invert(T_world_level)))
         return [estimate.in_world(T_world_level) for estimate in estimates]
+
+    def clouds(self) -> Clouds:
+        """What was seen of every instance, as the last goal joined them."""
+        return clouds(self.database, self.models)
 
     def _estimate(self, goal: Frame) -> list[PoseEstimate]:
         """The estimates in the table's own frame, in which the goal's camera is given."""

@@ -15,7 +15,7 @@ from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.perception.extents import measure_extent
-from toolkit.perception.fusion import cloud
+from toolkit.perception.fusion import Clouds
 from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
 from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
@@ -30,17 +30,27 @@ def write_poses(
     out: Path,
     capture: Capture,
     database: Database,
+    clouds: Clouds,
     estimates: Sequence[PoseEstimate],
     findings: Sequence[Finding] = (),
 ) -> Path:
-    """Write OUT/poses.json, the goal masks and fused models it names, and pictures. Returns the path of poses.json."""
+    """Write OUT/poses.json, the goal masks and fused models it names, and pictures. Returns the path of poses.json.
+
+    Args:
+        out: the folder.
+        capture: that was estimated.
+        database: of its current scene, its instances as the goal shows them.
+        clouds: of all of its instances.
+        estimates: one per goal object.
+        findings: what was found wrong with the capture.
+    """
     for folder in (_MASKS, _MODELS):
         (out / folder).mkdir(parents=True, exist_ok=True)
     poses = Poses(
         schema=SCHEMA,
         capture=capture.name,
         objects=[_write_object(out, estimate) for estimate in estimates],
-        instances=[_write_instance(out, database, int(number)) for number in np.unique(database.instances)],
+        instances=[_write_instance(out, number, cloud, database.T_world_level) for number, cloud in clouds.items()],
         not_in_goal=missing_instances(database, estimates),
         not_in_current=[estimate.goal_object for estimate in estimates if estimate.instance is None],
         findings=[Found(severity=f.severity, sentence=f.sentence, cap=f.cap, frames=list(f.frames)) for f in findings],
@@ -72,11 +82,11 @@ def _write_object(out: Path, estimate: PoseEstimate) -> GoalObject:
     )
 
 
-def _write_instance(out: Path, database: Database, number: int) -> Instance:
+def _write_instance(out: Path, number: int, cloud: tuple[Float, Float], T_world_level: Float) -> Instance:
     model = f"{_MODELS}/{number:06d}.ply"
-    points, colors = cloud(database, number)
+    points, colors = cloud
     write_cloud(out / model, points, colors)
-    extent = measure_extent(points, database.T_world_level)
+    extent = measure_extent(points, T_world_level)
     return Instance(
         instance=number,
         center=extent.T_world_box[:3, 3].tolist(),

@@ -14,7 +14,7 @@ import numpy as np
 from toolkit.errors import ToolkitError
 from toolkit.geometry import transform_points
 from toolkit.perception.database import Database
-from toolkit.perception.fusion import cloud
+from toolkit.perception.fusion import Clouds
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.rows import Row
 from toolkit.results.scoring import score
@@ -84,7 +84,7 @@ def recording(path: Path, name: str, blueprint: Any = None) -> Generator[Any]:
 
 
 def record_scene(
-    path: Path, name: str, capture: Capture, database: Database, estimates: Sequence[PoseEstimate]
+    path: Path, name: str, capture: Capture, database: Database, clouds: Clouds, estimates: Sequence[PoseEstimate]
 ) -> None:
     """Write one capture and what was estimated for it.
 
@@ -98,6 +98,7 @@ def record_scene(
         name: what the viewer calls the recording.
         capture: with the goal camera's pose as the estimates mean it.
         database: the current scene's; its frames are recorded.
+        clouds: of all of its instances.
         estimates: one per goal object.
 
     Raises:
@@ -111,7 +112,6 @@ def record_scene(
             stream.log(side, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for frame in database.frames:
             _log_frame(stream, rr, f"current/frames/{frame.index:06d}", frame)
-        clouds = {int(i): cloud(database, int(i)) for i in np.unique(database.instances)}
         for instance, (points, colors) in clouds.items():
             _log_points(stream, rr, f"current/instances/{instance}", points, colors, f"instance {instance}")
         _log_frame(stream, rr, "goal/camera", capture.goal)
@@ -185,9 +185,7 @@ def _log_boxes(stream: Any, rr: Any, estimates: Sequence[PoseEstimate], named: d
     stream.log("goal/camera/objects", boxes, static=True)
 
 
-def _log_estimate(
-    stream: Any, rr: Any, estimate: PoseEstimate, clouds: dict[int, tuple[Float, Float]], label: str
-) -> None:
+def _log_estimate(stream: Any, rr: Any, estimate: PoseEstimate, clouds: Clouds, label: str) -> None:
     """What was said of a goal object; and its instance's points, where they were taken to be."""
     entity = f"goal/estimates/{estimate.goal_object}"
     alike = 0 if estimate.equivalents is None else len(estimate.equivalents)

@@ -10,7 +10,6 @@ from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from toolkit.geometry import rotation_angle, transform_points
-from toolkit.perception.fusion import cloud
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.moves import Item, Layout, Move
 from toolkit.registry import PluginConfig
@@ -82,7 +81,7 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
             failures[estimate.goal_object] = Failure("retriever", reason)
         else:
             claims[estimate.instance] = estimate
-    clouds = {i: cloud(scene.database, i)[0] for i in np.unique(scene.database.instances).tolist()}
+    clouds = {instance: points for instance, (points, _) in scene.clouds().items()}
     items = tuple(_item(instance, own, claims.get(instance), settings) for instance, own in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
     return Sight(layout, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)

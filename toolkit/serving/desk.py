@@ -115,7 +115,8 @@ class Desk:
         estimates = self._session.estimate(goal)
         self._goal += 1
         capture = Capture(f"scene {self._scene}, goal {self._goal}", self._frames, goal, None, "", notes=notes)
-        answer = Answer(estimates, self._session.scene.database, self._session.findings)
+        seen = self._session.scene
+        answer = Answer(estimates, seen.database, seen.clouds(), self._session.findings)
         self.last = Last(
             capture.name,
             _written(capture, answer),
@@ -134,7 +135,7 @@ def _doubts(answer: Answer, notes: Sequence[str]) -> list[str]:
 
 def _written(capture: Capture, answer: Answer) -> dict[str, bytes]:
     def write(folder: Path) -> dict[str, bytes]:
-        write_poses(folder, capture, answer.database, answer.estimates, answer.findings)
+        write_poses(folder, capture, answer.database, answer.clouds, answer.estimates, answer.findings)
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 

@@ -10,6 +10,7 @@ from toolkit.perception.checks.goal import check_table
 from toolkit.perception.checks.pictures import check_exposure, check_goal_exposure, check_steps
 from toolkit.perception.checks.poses import check_poses
 from toolkit.perception.checks.sighting import sight
+from toolkit.perception.checks.tint import check_tint
 from toolkit.perception.tabletop.table import find_table
 from toolkit.types import Capture, Finding, Frame, PoseEstimate
 
@@ -52,7 +53,8 @@ def check_goal(goal: Frame, frames: Sequence[Frame]) -> list[Finding]:
     except ToolkitError:
         # The current frames' own findings say so.
         return check_goal_exposure(goal)
-    return by_severity([*check_goal_exposure(goal), *check_table(goal, table)])
+    # Colours are compared only where the goal shows the same table.
+    return by_severity([*check_goal_exposure(goal), *(check_table(goal, table) or check_tint(goal, table))])
 
 
 def refuse(findings: Sequence[Finding]) -> None:

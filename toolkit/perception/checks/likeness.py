@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.perception.tabletop.plane import on_plane, table_homography
+from toolkit.perception.tabletop.plane import Plane, on_plane, table_homography
 from toolkit.perception.tabletop.table import Table
-from toolkit.types import Camera, Float, Image, Mask
+from toolkit.types import Camera, Float, Frame, Image, Mask
 
 _CELLS = 320
 """Cells along the longer side of the plan."""
@@ -42,20 +42,36 @@ class Plan:
     seen: Mask
 
 
-def plan(table: Table, camera: Camera, rgb: Image, bare: Mask) -> Plan:
-    """Look at the table from above; `bare` (H, W) is where the image may show it bare."""
+def from_above(table: Table, camera: Camera, image: Float, bare: Mask) -> tuple[Float, Mask]:
+    """Look at the table from above.
+
+    Args:
+        table: the table.
+        camera: that took the image.
+        image: (H, W) float32.
+        bare: (H, W) where it may show the table bare.
+
+    Returns:
+        (N, N) float32 the image by cells of a plan, the same one for every camera; and (N, N) bool, those that it shows
+        bare, or may do so.
+    """
     low, size = table.outline.min(axis=0), float(np.ptp(table.outline, axis=0).max())
     cell = size / _CELLS
     to_plane = np.array([[cell, 0, low[0]], [0, cell, low[1]], [0, 0, 1]])
     to_pixels = table_homography(table.T_world_table, camera) @ to_plane
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    gray = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
     # A camera below the plan's horizon would see it mirrored.
     x, y = np.meshgrid(np.arange(_CELLS) + 0.5, np.arange(_CELLS) + 0.5)
     ahead = to_pixels[2, 0] * x + to_pixels[2, 1] * y + to_pixels[2, 2] > 0
-    top = cv2.warpPerspective(gray, to_pixels, (_CELLS, _CELLS), flags=flags)
+    top = cv2.warpPerspective(image, to_pixels, (_CELLS, _CELLS), flags=flags)
     weight = cv2.warpPerspective(bare.astype(np.float32), to_pixels, (_CELLS, _CELLS), flags=flags)
-    seen = (weight > 0.99) & ahead
+    return top.astype(np.float32), (weight > 0.99) & ahead
+
+
+def plan(table: Table, camera: Camera, rgb: Image, bare: Mask) -> Plan:
+    """The plan of an image; `bare` (H, W) is where it may show the table bare."""
+    gray = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    top, seen = from_above(table, camera, gray, bare)
     fine, mean = (
         cv2.GaussianBlur(np.where(seen, top, 0).astype(np.float32), (0, 0), sigma)
         / np.maximum(cv2.GaussianBlur(seen.astype(np.float32), (0, 0), sigma), 1e-3)
@@ -66,11 +82,14 @@ def plan(table: Table, camera: Camera, rgb: Image, bare: Mask) -> Plan:
 
 def bare_plans(table: Table, flip: tuple[int, ...] = ()) -> list[Plan]:
     """The plans of all frames that see the table, of what of it is bare; colour images flipped along these axes."""
-    kernel = np.ones((7, 7), np.uint8)
     return [
-        plan(table, frame.camera, np.flip(frame.rgb, flip), cv2.erode(on_plane(p, frame).astype(np.uint8), kernel) > 0)
-        for frame, p in table.seen()
+        plan(table, frame.camera, np.flip(frame.rgb, flip), surely_bare(frame, plane)) for frame, plane in table.seen()
     ]
+
+
+def surely_bare(frame: Frame, plane: Plane) -> Mask:
+    """(H, W) bool: where a frame's depth is the table's, and so is all around it."""
+    return cv2.erode(on_plane(plane, frame).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
 
 
 def between(plans: Sequence[Plan]) -> NDArray[np.float64]:
