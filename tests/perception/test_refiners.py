@@ -541,5 +541,11 @@ def test_a_covariance_moves_with_the_point_it_is_about():
 def test_support_by_matches_is_told_from_none(tasks):
     task = next(iter(tasks.values()))
     found = REFINERS.create("render_compare").refine(task)
-    supported = REFINERS.create("render_compare").refine(replace(task, starts=(Start(found.T_goal_current),)))
+    supported, repeated = (
+        REFINERS.create("render_compare").refine(
+            replace(task, starts=(Start(found.T_goal_current, independent=independent),))
+        )
+        for independent in (True, False)
+    )
     assert supported.confidence > found.confidence
+    assert repeated.confidence == pytest.approx(found.confidence, abs=0.01)

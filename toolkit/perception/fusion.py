@@ -196,11 +196,14 @@ class Start:
         T_goal_current: (4, 4) in world coordinates, metres.
         covariance: (6, 6) of (turn, shift of `center`), rad^2 and m^2, or None where that is not known.
         center: (3,) point of the current world that the covariance is about.
+        independent: whether it was found without drawing the object's model, so that a refiner that draws it and comes
+            to the same motion has found it twice.
     """
 
     T_goal_current: Float
     covariance: Float | None = None
     center: Float = field(default_factory=lambda: np.zeros(3))
+    independent: bool = True
 
 
 @dataclass(frozen=True, eq=False)

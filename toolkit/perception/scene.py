@@ -143,7 +143,7 @@ class Scene:
             return estimate
         number, starts = estimate.goal_object, starts_of(estimate)
         if placement is not None:
-            starts = (*starts, Start(placement.T_goal_current))
+            starts = (*starts, Start(placement.T_goal_current, independent=False))
         task = RefineTask.of(goal, segments, number, estimate.instance, self.models, starts)
         with self._parts.meter.stage("refiner"):
             refined = self._parts.stages.refiner.refine(task)

@@ -60,6 +60,6 @@ def judge(found: Sequence[Hypothesis], model: FusedModel, starts: Sequence[Start
         found[best],
         (found[best], *(found[i] for i in others)),
         "hidden" if hidden else "symmetric" if others else "none",
-        confidence(found, unlike, supported=bool(supporters)),
+        confidence(found, unlike, supported=any(start.independent for start in supporters)),
         tuple(supporters),
     )
