@@ -72,6 +72,8 @@ class Robot:
         self.hand: int = links[model.hand]
         self.tips = tuple(links[name] for name in model.tips)
         self.links = range(BASE, len(joints))
+        self.names = {BASE: client.getBodyInfo(self.body)[0].decode(), **{n: link for link, n in links.items()}}
+        """Link -> its name."""
         self.base_links = frozenset({BASE, *range(self._arm[0])})
         self.rank = {BASE: 0}
         """Link -> how many of the arm's joints lie between it and the base."""
@@ -149,6 +151,10 @@ class Robot:
         """(J,) the arm's joint angles now, radians."""
         return self._client.angles(self.body, self._arm)
 
+    def finger_joints(self, drive: float) -> dict[str, float]:
+        """Where every joint of the gripper is at a drive value, radians or metres."""
+        return dict(zip(self._fingers, (drive * self._ratios).tolist(), strict=True))
+
     @property
     def finger_drives(self) -> dict[str, float]:
         """Where every joint of the gripper is now, as a value of the drive."""
@@ -171,8 +177,8 @@ class Robot:
 
     def set_drive(self, drive: float) -> None:
         """Put the fingers where the drive says, at once."""
-        for joint, angle in zip(self._fingers.values(), (drive * self._ratios).tolist(), strict=True):
-            self._client.resetJointState(self.body, joint, angle)
+        for name, angle in self.finger_joints(drive).items():
+            self._client.resetJointState(self.body, self._fingers[name], angle)
 
     def follow(self, q: Float, velocity: Float) -> None:
         """Let the arm's motors hold (J,) angles, moving at (J,) radians per second."""

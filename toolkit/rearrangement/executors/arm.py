@@ -40,10 +40,9 @@ class ArmConfig(PluginConfig):
     grasp: Annotated[StageChoice, BeforeValidator(partial(GRASPERS.choose, default="antipodal"))] = Field(
         "antipodal", validate_default=True, description="Finds where to take hold: a choice of the stage `grasp`."
     )
-    motion: Annotated[StageChoice, BeforeValidator(partial(MOTION_PLANNERS.choose, default="ompl"))] = Field(
-        "ompl", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
+    motion: Annotated[StageChoice, BeforeValidator(partial(MOTION_PLANNERS.choose, default="roboplan"))] = Field(
+        "roboplan", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
     )
-    search_s: float = Field(5.0, gt=0, description="Longest search for one path, of processor time.")
     joint_speed: float = Field(0.8, gt=0, description="Speed of the fastest joint in free motion, rad/s.")
     line_speed: float = Field(0.25, gt=0, description="Speed of the fastest joint near objects, rad/s.")
     approach_m: float = Field(
@@ -193,8 +192,7 @@ class Arm(Plugin[ArmConfig], Executor):
         self._mover.back_off(reach.way_out(self._bench.target), number)
 
     def _reach(self) -> Reach:
-        c = self.config
-        return Reach(self._clearance, self._planner, c.approach_m, c.search_s, self._moves)
+        return Reach(self._clearance, self._planner, self.config.approach_m, self._moves)
 
     def _slipped(self, pose: Float, wanted: Float) -> Failure | None:
         shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))
