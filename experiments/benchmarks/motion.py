@@ -26,7 +26,7 @@ from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, length
 from toolkit.results.stats import wilson_interval
 from toolkit.sim.clearance import Clearance
-from toolkit.sim.robots import ROBOTS
+from toolkit.sim.robots import find_robot
 from toolkit.stages import MOTION_PLANNERS, MotionPlanner
 from toolkit.types import Failure, Float
 
@@ -39,14 +39,13 @@ JUDGED_RAD = 0.02
 def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot", choices=sorted(ROBOTS), default="gen3")
+    parser.add_argument("--robot", default="gen3", help="gen3, panda, or a robot's folder")
     parser.add_argument("--objects", default="procedural")
     parser.add_argument("--pairs", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
 
-    arm = ArmConfig()
-    base = base_pose(arm)
+    base, robot = base_pose(ArmConfig()), find_robot(options.robot)
     config = TabletopConfig(objects=options.objects, min_objects=8, max_objects=9, seed=options.seed)
     objects = load_object_set(options.objects, cache_root())
     planners = {name: MOTION_PLANNERS.create(name) for name in MOTION_PLANNERS.names()}
@@ -60,24 +59,22 @@ def main() -> None:
     for number in track(scenes, console=Console(stderr=True)):
         scene = draw_scene(config, objects, number, cache_root())
         rng = np.random.default_rng([options.seed, number])
-        with closing(Clearance(ROBOTS[options.robot], base, [asset.hulls for asset in scene.assets])) as clearance:
-            clearance.arrange(scene.current, ROBOTS[options.robot].drive[0])
-            chain, world = clearance.robot.chain, clearance.world()
-            home = np.array(clearance.robot.model.home)
+        count = min(PAIRS_A_SCENE, options.pairs - number * PAIRS_A_SCENE)
+        with closing(Clearance(robot, base, [asset.hulls for asset in scene.assets])) as clearance:
+            clearance.arrange(scene.current, robot.drive[0])
+            pairs = [(free_pose(clearance, base, rng), free_pose(clearance, base, rng)) for _ in range(count)]
+            lines = [float(np.linalg.norm(goal - start)) for start, goal in pairs]
+            straight += lines
+            problems = [problem_of(clearance, *ends) for ends in ((np.array(robot.home),) * 2, *pairs)]
             for name, planner in planners.items():
-                problem = MotionProblem(home, home, chain.lower, chain.upper, clearance.free, world)
-                first[name].append(timed(planner, problem, 0)[0])
-            for pair in range(min(PAIRS_A_SCENE, options.pairs - number * PAIRS_A_SCENE)):
-                start, goal = free_pose(clearance, base, rng), free_pose(clearance, base, rng)
-                problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, world)
-                straight.append(float(np.linalg.norm(goal - start)))
-                for name, planner in planners.items():
-                    spent, path = timed(planner, problem, pair)
-                    times[name].append(spent)
+                spent, answers = zip(*(timed(planner, problem, i) for i, problem in enumerate(problems)), strict=True)
+                first[name].append(spent[0])
+                times[name] += spent[1:]
+                for path, line in zip(answers[1:], lines, strict=True):
                     if isinstance(path, Failure):
                         reasons[name, path.reason] += 1
                     else:
-                        lengths[name].append(length(path) / straight[-1])
+                        lengths[name].append(length(path) / line)
                         touching[name] += not all(map(clearance.free, densify(path, JUDGED_RAD)))
     print(f"{options.robot}, {len(straight)} pairs, hands 2 to 30 cm over tables of 8 to 9 objects\n")
     print("| motion | found | 95 % interval | touch | median ms | 95th percentile ms | length / line | once, ms |")
@@ -91,6 +88,12 @@ def main() -> None:
         )
     for (name, reason), count in reasons.most_common():
         print(f"- {name}, {count}: {reason}")
+
+
+def problem_of(clearance: Clearance, start: Float, goal: Float) -> MotionProblem:
+    """From one pose to another, among things as arranged."""
+    chain = clearance.robot.chain
+    return MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, clearance.world())
 
 
 def timed(planner: MotionPlanner, problem: MotionProblem, seed: int) -> tuple[float, Float | Failure]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from toolkit.errors import ToolkitError
+from toolkit.errors import ToolkitError, suggest
+from toolkit.sim.robots import RobotModel
 
 _PACKAGE = "package://"
 
@@ -42,6 +44,55 @@ def parsed(urdf: Path) -> ET.Element:
     if root.tag != "robot":
         raise ToolkitError(f"'{urdf}' is no URDF: it describes a '{root.tag}' instead of a 'robot'")
     return root
+
+
+def require_parts(model: RobotModel) -> None:
+    """Make sure that a robot's description has every part that its robot.yaml names, and every mesh.
+
+    Raises:
+        ToolkitError: one is missing; or the arm's joints do not lie in a row from the base to the hand, or the fingers
+            do not hang on the hand.
+    """
+    urdf = model.urdf()
+    absolute_text(urdf)
+    root = parsed(urdf)
+    file, gripper = model.file, model.file.gripper
+    joints = {joint.get("name", ""): joint for joint in root.iter("joint")}
+    links = [link.get("name", "") for link in root.iter("link")]
+    for part, names in (("arm", file.arm), ("gripper", [*gripper.joints])):
+        for name in names:
+            if name not in joints:
+                raise _lacks(model, f"joint '{name}' of `{part}`", name, [*joints])
+    for part, name in (("hand", file.hand), *(("tips", tip) for tip in gripper.tips), ("camera", file.camera.link)):
+        if name not in links:
+            raise _lacks(model, f"link '{name}' of `{part}`", name, links)
+    above = {_link(joint, "child"): (name, _link(joint, "parent")) for name, joint in joints.items()}
+    moving = [name for name in _way_up(above, file.hand) if joints[name].get("type") != "fixed"]
+    if tuple(reversed(moving)) != file.arm:
+        found, said = ", ".join(moving[::-1]), ", ".join(file.arm)
+        raise ToolkitError(f"robot '{model.name}': from its base to its hand lie the joints {found}; `arm` says {said}")
+    for tip in gripper.tips:
+        if not {*_way_up(above, tip)} & {*gripper.joints}:
+            raise ToolkitError(f"robot '{model.name}': none of the `gripper`'s joints moves its tip '{tip}'")
+
+
+def _lacks(model: RobotModel, what: str, name: str, choices: list[str]) -> ToolkitError:
+    return ToolkitError(f"robot '{model.name}': {what} is not in {model.file.urdf}{suggest(name, choices)}")
+
+
+def _link(joint: ET.Element, end: str) -> str:
+    """Name of the link at one end of a joint, `parent` or `child`."""
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _way_up(above: Mapping[str, tuple[str, str]], link: str) -> Iterator[str]:
+    """Joints between a link and the root, the link's own first."""
+    seen: set[str] = set()
+    while link in above and link not in seen:
+        seen.add(link)
+        joint, link = above[link]
+        yield joint
 
 
 def _found(urdf: Path, name: str) -> Path:
