@@ -66,6 +66,14 @@ def test_a_planner_that_is_not_installed_says_how_to_get_it(name, monkeypatch):
         MOTION_PLANNERS.create(name).check_ready()
 
 
+def test_a_description_that_roboplan_cannot_read_is_a_mistake():
+    broken = replace(
+        GAP, world=replace(GAP.world, urdf='<robot name="two roots"><link name="a"/><link name="b"/></robot>')
+    )
+    with pytest.raises(ToolkitError, match="RoboPlan cannot read the robot's description"):
+        MOTION_PLANNERS.create("roboplan").plan(broken, seed=0)
+
+
 def shifted(world, **changes):
     """The wall's world with its one solid changed."""
     (solid,) = world.solids

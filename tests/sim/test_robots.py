@@ -15,6 +15,8 @@ import yaml
 from toolkit.errors import ToolkitError
 from toolkit.plugin_kit.conformance.robot import check_robot
 from toolkit.rearrangement.executors.arm import Arm, ArmConfig
+from toolkit.sim.client import Client
+from toolkit.sim.robot import Robot
 from toolkit.sim.robots import FILE, ROBOTS, find_robot, read_robot
 
 DESCRIBED = Path(sys.modules["toolkit.sim.robots"].__file__).parent / "described"
@@ -44,6 +46,14 @@ def edit(folder, **changes):
     file.write_text(yaml.safe_dump(data))
 
 
+def edit_urdf(folder, old, new):
+    """Replace a piece of the description."""
+    file = folder / "panda.urdf"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
 def refused(folder):
     """The sentence with which a robot is refused before anything moves."""
     with pytest.raises(ToolkitError) as error:
@@ -70,7 +80,7 @@ def test_a_folder_is_a_robot(folder):
 
 
 MISTAKES = {
-    "no robot.yaml": (lambda f: (f / FILE).unlink(), "cannot be read: No such file"),
+    "no robot.yaml": (lambda f: (f / FILE).unlink(), "is no robot: it holds no robot.yaml"),
     "no YAML": (lambda f: (f / FILE).write_text("arm: ["), "line 1"),
     "a key that is none": (lambda f: edit(f, speeed=1.0), "unknown setting 'speeed'; did you mean 'speed'?"),
     "an angle too few": (lambda f: edit(f, home=[0.0] * 6), "`home` has 6 angles for 7 joints"),
@@ -82,6 +92,14 @@ MISTAKES = {
     "no URDF": (lambda f: (f / "panda.urdf").unlink(), "panda.urdf' cannot be read: No such file"),
     "no XML": (lambda f: (f / "panda.urdf").write_text("<robot><link>"), "is no XML"),
     "another XML": (lambda f: (f / "panda.urdf").write_text("<sdf/>"), "describes a 'sdf' instead of a 'robot'"),
+    "a joint to nowhere": (
+        lambda f: edit_urdf(f, '<child link="panda_hand"', '<child link="panda_hnad"'),
+        "link 'panda_hnad', the child of joint 'panda_hand_joint', is not in panda.urdf; did you mean 'panda_hand'?",
+    ),
+    "two roots": (
+        lambda f: edit_urdf(f, "</robot>", '<link name="lost"/></robot>'),
+        "are no tree; its roots are ['panda_link0', 'lost']",
+    ),
     "a mesh that is not there": (lambda f: (f / "meshes" / "visual" / "hand.obj").unlink(), "visual/hand.obj"),
     "a joint of another name": (
         lambda f: edit(f, arm=[f"panda_joint{i}" for i in range(1, 7)] + ["panda_joint_7"]),
@@ -104,6 +122,12 @@ def test_a_broken_robot_is_refused_in_one_sentence(folder, mistake):
     break_it, said = MISTAKES[mistake]
     break_it(folder)
     assert said in refused(folder)
+
+
+def test_what_a_simulator_cannot_load_is_said(folder):
+    edit_urdf(folder, '<mesh filename="package://meshes/collision/link0.obj"/>', "")
+    with pytest.raises(ToolkitError, match="PyBullet cannot load"):
+        Robot(Client(), read_robot(folder), np.eye(4))
 
 
 WRONG = {

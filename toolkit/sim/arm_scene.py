@@ -16,13 +16,16 @@ from roboplan.core import (
     Mesh,
     PathShortcutter,
     PathShortcuttingOptions,
+    PinocchioSceneDescription,
     Scene,
     hasCollisionsAlongPath,
     loadUrdfSceneDescriptionFromXml,
 )
 from roboplan.rrt import RRT, RRTOptions
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
+from toolkit.sim.bullet import silence
 from toolkit.types import ArmWorld, Float, Shape
 
 _GROUP = "arm"
@@ -38,12 +41,15 @@ class ArmScene:
         world: the arm and the things.
         lower: (J,) smallest angles of the arm's joints, radians.
         upper: (J,) largest angles.
+
+    Raises:
+        ToolkitError: RoboPlan cannot read the robot's description.
     """
 
     def __init__(self, world: ArmWorld, lower: Float, upper: Float) -> None:
         self._shapes = _shapes(world, lower, upper)
         self._arm = list(world.arm)
-        self._scene = Scene(_GROUP, loadUrdfSceneDescriptionFromXml(_with_limits(world, lower, upper)))
+        self._scene = Scene(_GROUP, _description(_with_limits(world, lower, upper)))
         self._scene.addGroup(_GROUP, self._arm)
         for solid in world.solids:
             self._scene.addMeshGeometry(solid.name, _ROOT, _mesh(solid.shape), np.eye(4), _GREY)
@@ -136,6 +142,14 @@ def _shapes(world: ArmWorld, lower: Float, upper: Float) -> tuple[object, ...]:
     return world.urdf, world.arm, lower.tobytes(), upper.tobytes(), solids
 
 
+def _description(urdf: str) -> PinocchioSceneDescription:
+    try:
+        with silence():
+            return loadUrdfSceneDescriptionFromXml(urdf)
+    except (RuntimeError, ValueError) as error:
+        raise ToolkitError(f"RoboPlan cannot read the robot's description: {error}") from error
+
+
 def _with_limits(world: ArmWorld, lower: Float, upper: Float) -> str:
     """The description with the arm's limits in it, and every joint on its own.
 
@@ -143,7 +157,7 @@ def _with_limits(world: ArmWorld, lower: Float, upper: Float) -> str:
     """
     root = ET.fromstring(world.urdf)
     limits = dict(zip(world.arm, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
-    for joint in root.iter("joint"):
+    for joint in root.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
         endless = joint.get("type") == "continuous"

@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.sim.bullet import pybullet, silence
 from toolkit.sim.client import BASE, Client, Joint, quaternion
@@ -43,6 +44,9 @@ class Robot:
         T_world_base: (4, 4) where it stands.
         pictures: load its visual meshes too.
         own_collisions: let PyBullet look for contacts between its own links.
+
+    Raises:
+        ToolkitError: PyBullet cannot load its description.
     """
 
     def __init__(
@@ -61,13 +65,11 @@ class Robot:
         with silence(), tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(absolute_text(model.urdf()))
-            self.body: int = client.loadURDF(
-                str(file),
-                T_world_base[:3, 3].tolist(),
-                quaternion(T_world_base),
-                useFixedBase=True,
-                flags=flags,
-            )
+            place = T_world_base[:3, 3].tolist(), quaternion(T_world_base)
+            try:
+                self.body: int = client.loadURDF(str(file), *place, useFixedBase=True, flags=flags)
+            except pybullet.error as error:
+                raise ToolkitError(f"robot '{model.name}': PyBullet cannot load {model.urdf()}: {error}") from error
         joints = client.joints(self.body)
         numbers = {joint.name: number for number, joint in enumerate(joints)}
         links = {joint.link: number for number, joint in enumerate(joints)}

@@ -178,9 +178,10 @@ def read_robot(folder: Path, urdf: Callable[[], Path] | None = None) -> RobotMod
     Raises:
         ToolkitError: robot.yaml is not there, or says something that does not fit.
     """
-    what = f"robot '{folder}'"
+    if not (folder / FILE).is_file():
+        raise ToolkitError(f"'{folder}' is no robot: it holds no {FILE}; docs/rearrange.md shows what stands in one")
     data = read_settings(folder / FILE, "robot file", "urdf, arm, home, hand, gripper and camera")
-    file = validated(RobotFile, data, what)
+    file = validated(RobotFile, data, f"robot '{folder}'")
     return RobotModel(folder.name, urdf or (lambda: folder / file.urdf), file)
 
 

@@ -50,29 +50,50 @@ def require_parts(model: RobotModel) -> None:
     """Make sure that a robot's description has every part that its robot.yaml names, and every mesh.
 
     Raises:
-        ToolkitError: one is missing; or the arm's joints do not lie in a row from the base to the hand, or the fingers
-            do not hang on the hand.
+        ToolkitError: one is missing; the links are no tree; the arm's joints do not lie in a row from the base to the
+            hand; or the gripper moves no fingertip.
     """
     urdf = model.urdf()
     absolute_text(urdf)
     root = parsed(urdf)
+    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
+    links = [link.get("name", "") for link in root.findall("link")]
+    _require_tree(model, joints, links)
+    _require_names(model, [*joints], links)
+    _require_chains(model, joints)
+
+
+def _require_tree(model: RobotModel, joints: Mapping[str, ET.Element], links: list[str]) -> None:
+    for name, joint in joints.items():
+        for end in ("parent", "child"):
+            link = _link(joint, end)
+            if link not in links:
+                raise _lacks(model, f"link '{link}', the {end} of joint '{name}',", link, links)
+    children = [_link(joint, "child") for joint in joints.values()]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len({*children}) < len(children):
+        raise ToolkitError(f"robot '{model.name}': the links of {model.file.urdf} are no tree; its roots are {roots}")
+
+
+def _require_names(model: RobotModel, joints: list[str], links: list[str]) -> None:
     file, gripper = model.file, model.file.gripper
-    joints = {joint.get("name", ""): joint for joint in root.iter("joint")}
-    links = [link.get("name", "") for link in root.iter("link")]
     for part, names in (("arm", file.arm), ("gripper", [*gripper.joints])):
         for name in names:
             if name not in joints:
-                raise _lacks(model, f"joint '{name}' of `{part}`", name, [*joints])
+                raise _lacks(model, f"joint '{name}' of `{part}`", name, joints)
     for part, name in (("hand", file.hand), *(("tips", tip) for tip in gripper.tips), ("camera", file.camera.link)):
         if name not in links:
             raise _lacks(model, f"link '{name}' of `{part}`", name, links)
+
+
+def _require_chains(model: RobotModel, joints: Mapping[str, ET.Element]) -> None:
     above = {_link(joint, "child"): (name, _link(joint, "parent")) for name, joint in joints.items()}
-    moving = [name for name in _way_up(above, file.hand) if joints[name].get("type") != "fixed"]
-    if tuple(reversed(moving)) != file.arm:
-        found, said = ", ".join(moving[::-1]), ", ".join(file.arm)
+    moving = [name for name in _way_up(above, model.hand) if joints[name].get("type") != "fixed"]
+    if tuple(reversed(moving)) != model.arm:
+        found, said = ", ".join(moving[::-1]), ", ".join(model.arm)
         raise ToolkitError(f"robot '{model.name}': from its base to its hand lie the joints {found}; `arm` says {said}")
-    for tip in gripper.tips:
-        if not {*_way_up(above, tip)} & {*gripper.joints}:
+    for tip in model.tips:
+        if not {*_way_up(above, tip)} & {*model.fingers}:
             raise ToolkitError(f"robot '{model.name}': none of the `gripper`'s joints moves its tip '{tip}'")
 
 
@@ -87,10 +108,8 @@ def _link(joint: ET.Element, end: str) -> str:
 
 
 def _way_up(above: Mapping[str, tuple[str, str]], link: str) -> Iterator[str]:
-    """Joints between a link and the root, the link's own first."""
-    seen: set[str] = set()
-    while link in above and link not in seen:
-        seen.add(link)
+    """Joints between a link and the root of its tree, the link's own first."""
+    while link in above:
         joint, link = above[link]
         yield joint
 
