@@ -123,6 +123,21 @@ def test_what_is_carried_hits_other_things_and_things_may_stand_on_each_other():
     assert isinstance(carrying(0.3), Failure)
 
 
+def test_what_a_fixed_link_carries_is_where_that_link_is():
+    """A hand 5 m above the column's middle carries a plate far above the wall, or 5 m below the hand, in it."""
+    hand = '<link name="hand"/><joint name="wrist" type="fixed"><parent link="column"/><child link="hand"/>'
+    urdf = GAP.world.urdf.replace("</robot>", hand + '<origin xyz="0 0 5"/></joint></robot>')
+    (solid,) = GAP.world.solids
+    corners = 0.3 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    T_hand_plate = make_transform(np.eye(3), np.array([0, 0, -5.0]))
+    allowed = frozenset({("plate", "column"), ("wall", "column")})
+    for pose, free in ((np.eye(4), True), (T_hand_plate, False)):
+        plate = Solid("plate", Shape((corners,)), pose, held_by="hand")
+        world = ArmWorld(urdf, GAP.world.arm, {}, np.eye(4), (solid, plate), allowed)
+        path = MOTION_PLANNERS.create("roboplan").plan(replace(GAP, world=world), seed=0)
+        assert (not isinstance(path, Failure) and len(path) == 2) == free
+
+
 def test_shortcuts_keep_the_ends_and_never_lengthen():
     rng = np.random.default_rng(0)
     detour = np.array([[-0.5, -0.5, 0], [-0.9, 0.2, 0.5], [-0.3, 0.95, -0.5], [0.4, 0.9, 0.5], [0.5, -0.5, 0]])

@@ -54,6 +54,7 @@ class ArmScene:
         for solid in world.solids:
             self._scene.addMeshGeometry(solid.name, _ROOT, _mesh(solid.shape), np.eye(4), _GREY)
         self._shaped: dict[str, bool] = {}
+        self._fixed_to = _fixed_links(world.urdf)
         self._off: set[tuple[str, str]] = set()
         self.arrange(world)
 
@@ -69,10 +70,21 @@ class ArmScene:
         self._switch_pairs(world)  # while nothing is held: to RoboPlan, a link's pairs are also those of what it holds
         for solid in world.solids:
             if solid.held_by is not None:
-                self._scene.updateGeometryPlacement(solid.name, solid.held_by, _array(solid.pose))
+                self._hang(solid.name, solid.held_by, solid.pose)
         full = self._scene.getCurrentJointPositions()
         full[self._scene.getJointPositionIndices(list(world.others))] = list(world.others.values())
         self._scene.setJointPositions(full)
+
+    def _hang(self, name: str, link: str, T_link_solid: Float) -> None:
+        """Let a link carry a thing.
+
+        RoboPlan 0.7 takes the pose for one in the frame of the joint above a link, whatever fixed joints lie between.
+        """
+        moved = link
+        while moved in self._fixed_to:
+            moved = self._fixed_to[moved]
+        T_moved_link = self._scene.forwardKinematics(self._scene.getCurrentJointPositions(), link, moved)
+        self._scene.updateGeometryPlacement(name, moved, _array(T_moved_link @ T_link_solid))
 
     def _switch_pairs(self, world: ArmWorld) -> None:
         """Look for contacts of all pairs but those that may touch, and those of two things that lie still."""
@@ -170,6 +182,13 @@ def _with_limits(world: ArmWorld, lower: Float, upper: Float) -> str:
             limit.set("lower", repr(ends[0]))
             limit.set("upper", repr(ends[1]))
     return ET.tostring(root, encoding="unicode")
+
+
+def _fixed_links(urdf: str) -> dict[str, str]:
+    """Link -> the one that it is fixed to."""
+    fixed = ET.fromstring(urdf).findall("joint[@type='fixed']")
+    ends = ((joint.find("child"), joint.find("parent")) for joint in fixed)
+    return {a.get("link", ""): b.get("link", "") for a, b in ends if a is not None and b is not None}
 
 
 def _array(values: Float) -> NDArray[np.float64]:
