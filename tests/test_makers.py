@@ -29,7 +29,7 @@ from toolkit.data.tabletop import TabletopConfig
 from toolkit.harness.cache import Cache
 from toolkit.models.efficientnet_lite import EfficientNetLite0
 from toolkit.progress import Progress
-from toolkit.sim.robots import gen3_urdf
+from toolkit.sim.robot_urdfs import gen3_urdf
 from toolkit.training import pool
 from toolkit.training.config import MixvprTraining
 from toolkit.training.mixvpr import MixvprTask
@@ -118,7 +118,7 @@ MAKERS = {
 def processes():
     """Processes that have imported everything already: they are forked from one that did nothing else."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["toolkit.training.mixvpr", "toolkit.harness.cache", "toolkit.sim.robots"])
+    context.set_forkserver_preload(["toolkit.training.mixvpr", "toolkit.harness.cache", "toolkit.sim.robot_urdfs"])
     return context
 
 

@@ -75,7 +75,7 @@ def test_a_stage_that_another_works_with_is_chosen_as_every_other(write):
     path = write(REARRANGED)
     plain = executor(path)
     assert plain["grasp"]["name"] == "antipodal" and plain["grasp"]["friction"] == 0.4
-    assert plain["motion"]["name"] == "ompl"
+    assert plain["motion"]["name"] == "roboplan"
     assert executor(path, grasp="antipodal") == executor(path, **{"grasp.name": "antipodal"}) == plain
     deep = executor(path, **{"grasp.friction": 0.3})
     assert deep == plain | {"grasp": plain["grasp"] | {"friction": 0.3}}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +17,9 @@ from toolkit.cli.options import (
     register_plugin_files,
     single_values,
 )
+
+if TYPE_CHECKING:
+    from toolkit.plugin_kit.conformance import Outcome
 
 app = typer.Typer()
 plugin_app = typer.Typer(help="Implementations of your own.", no_args_is_help=True)
@@ -33,15 +37,11 @@ def check(
     plugin: PluginOption = [],  # noqa: B006
     settings: SettingsOption = [],  # noqa: B006
 ) -> None:
-    """Check that an implementation does what its stage asks; exit code 1 where it does not."""
+    """Check that an implementation does what its stage asks, or `robot FOLDER`; exit code 1 where it does not."""
     from rich.table import Table
     from rich.text import Text
 
-    from toolkit.plugin_kit.conformance import check_plugin
-    from toolkit.stages import registry_of
-
-    register_plugin_files(plugin)
-    outcomes = check_plugin(registry_of(stage).get(name), single_values(settings))
+    outcomes = _robot_outcomes(name) if stage == "robot" else _plugin_outcomes(stage, name, plugin, settings)
     table = Table("check", "", "time", "memory", "remark", box=None, pad_edge=False)
     for outcome in outcomes:
         mark = Text("passed", style="green") if outcome.passed else Text("failed", style="red")
@@ -54,6 +54,21 @@ def check(
             f"{stage} '{name}' fails {len(failed)} of {len(outcomes)} checks; {failed[0].check}: {failed[0].note}"
         )
     say(f"{stage} '{name}' passes all {len(outcomes)} checks")
+
+
+def _plugin_outcomes(stage: str, name: str, plugin: list[Path], settings: list[str]) -> list[Outcome]:
+    from toolkit.plugin_kit.conformance import check_plugin
+    from toolkit.stages import registry_of
+
+    register_plugin_files(plugin)
+    return check_plugin(registry_of(stage).get(name), single_values(settings))
+
+
+def _robot_outcomes(choice: str) -> list[Outcome]:
+    from toolkit.plugin_kit.conformance.robot import check_robot
+    from toolkit.sim.robots import find_robot
+
+    return check_robot(find_robot(choice))
 
 
 @plugin_app.command("new")

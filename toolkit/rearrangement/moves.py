@@ -10,7 +10,7 @@ import numpy as np
 
 from toolkit.geometry import invert, transform_points
 from toolkit.rearrangement.footprints import Footprint, gaps, supports
-from toolkit.types import Failure, Float, Gripper
+from toolkit.types import ArmWorld, Failure, Float, Gripper
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +199,7 @@ class MotionProblem:
         lower: (J,) smallest angles.
         upper: (J,) largest angles.
         free: says of (J,) angles whether the arm, and what it carries, touches nothing there.
-        time_s: longest search, seconds of processor time.
+        world: the same as data: the arm and the shapes around it, for planners that check contacts themselves.
     """
 
     start: Float
@@ -207,7 +207,7 @@ class MotionProblem:
     lower: Float
     upper: Float
     free: Callable[[Float], bool]
-    time_s: float
+    world: ArmWorld
 
 
 @dataclass(frozen=True)

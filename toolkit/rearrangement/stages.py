@@ -62,8 +62,8 @@ class MotionPlanner(Protocol):
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         """Return the (N, J) joint angles of a path, from start to goal, straight between its points.
 
-        A Failure says why there is none, and comes when the problem's time is up at the latest. The same problem and
-        seed give the same path, unless time runs out.
+        A Failure says why there is none. Every search ends, after a number of steps and not after a time: the same
+        problem and seed give the same answer on any machine.
         """
         ...
 
@@ -130,7 +130,10 @@ GRASPERS: Registry[Grasper] = Registry(
 MOTION_PLANNERS: Registry[MotionPlanner] = Registry(
     "motion",
     "toolkit.motion",
-    {"ompl": "toolkit.rearrangement.motion.ompl:Ompl"},
+    {
+        "roboplan": "toolkit.rearrangement.motion.roboplan:Roboplan",
+        "ompl": "toolkit.rearrangement.motion.ompl:Ompl",
+    },
 )
 EXECUTORS: Registry[Executor] = Registry(
     "executor",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,20 @@ import numpy as np
 from toolkit.geometry import invert
 from toolkit.sim.bullet import silence
 from toolkit.sim.client import Client, Contact
-from toolkit.sim.compound import add_compound
+from toolkit.sim.compound import add_compound, convex_pieces
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import RobotModel
-from toolkit.types import Float
+from toolkit.sim.urdf import absolute_text
+from toolkit.types import ArmWorld, Float, Shape, Solid
 
 _GROW_M = 0.002
 """Objects are this much larger than they are: an arm follows its path with an error below a millimetre."""
+
+_MARGIN_M = 0.002
+"""Within this PyBullet calls two convex bodies touching: a millimetre of each. Exact shapes grow by it as well."""
+
+_TABLE_NAME = "the table"
+_TABLE = Shape((np.array(list(product((-2.0, 2.0), (-2.0, 2.0), (-0.5, 0.0)))),))
 
 _FAR_LINKS = 3
 """Links this many joints apart are kept from touching; nearer ones meet at their joints."""
@@ -33,6 +41,8 @@ class Clearance:
 
     def __init__(self, model: RobotModel, T_world_base: Float, hulls: Sequence[Sequence[Path]]) -> None:
         self._client = Client()
+        self._T_world_base = T_world_base
+        self._shapes = [_grown(pieces) for pieces in hulls]
         self.robot = Robot(self._client, model, T_world_base, own_collisions=True)
         self._table = self._client.add_plane()
         with silence():
@@ -43,6 +53,10 @@ class Clearance:
             self._client.ignore(body, self._table)
         for link in self.robot.base_links:
             self._client.ignore(self.robot.body, self._table, link)
+        near = ((a, b) for a, b in combinations(self.robot.links, 2) if not self._far(a, b))
+        names = self.robot.names
+        self._allowed = frozenset((names[a], names[b]) for a, b in near)
+        self._allowed |= {(names[link], _TABLE_NAME) for link in self.robot.base_links}
         self.carried: int | None = None
         self._ignored: int | None = None
         self._neared: int | None = None
@@ -103,12 +117,35 @@ class Clearance:
         neighbour = self._neighbour(self.carried)
         if neighbour is not None:
             return self._name(neighbour)
-        return "the table" if self._client.box(self.carried)[0][2] < self._lowest else None
+        return _TABLE_NAME if self._client.box(self.carried)[0][2] < self._lowest else None
+
+    def world(self) -> ArmWorld:
+        """Arm, table and objects as arranged, and what is carried, as data."""
+        robot, allowed = self.robot, self._allowed
+        solids = [Solid(_TABLE_NAME, _TABLE, np.eye(4))]
+        for body, shape in zip(self._bodies, self._shapes, strict=True):
+            name = self._name(body)
+            if body == self.carried:
+                solids.append(Solid(name, shape, self._T_hand_object, robot.model.hand))
+                allowed = allowed.union((name, link) for link in robot.names.values())
+            else:
+                solids.append(Solid(name, shape, self._client.pose(body)))
+        return ArmWorld(
+            absolute_text(robot.model.urdf()),
+            robot.model.arm,
+            robot.finger_joints(robot.drive),
+            self._T_world_base,
+            tuple(solids),
+            allowed,
+        )
+
+    def _far(self, link: int, other: int) -> bool:
+        return abs(self.robot.rank[link] - self.robot.rank[other]) >= _FAR_LINKS
 
     def _is_meant(self, contact: Contact) -> bool:
         """Say whether the robot may have a contact: between neighbouring links, with what it takes or carries."""
         if contact.other == self.robot.body:
-            return abs(self.robot.rank[contact.link] - self.robot.rank[contact.other_link]) < _FAR_LINKS
+            return not self._far(contact.link, contact.other_link)
         if contact.other == self._neared and contact.distance > -_GROW_M:
             return True
         on_foot = contact.other == self._table and contact.link in self.robot.base_links
@@ -122,7 +159,7 @@ class Clearance:
     def _name(self, body: int) -> str:
         if body == self.robot.body:
             return "itself"
-        return "the table" if body == self._table else f"object {self._bodies.index(body)}"
+        return _TABLE_NAME if body == self._table else f"object {self._bodies.index(body)}"
 
     def hand_at(self, q: Float) -> Float:
         """(4, 4) pose of the hand at (J,) joint angles."""
@@ -131,3 +168,8 @@ class Clearance:
     def object_in_hand(self, q: Float, T_world_object: Float) -> Float:
         """(4, 4) an object's pose in the frame of the hand at (J,) joint angles."""
         return invert(self.hand_at(q)) @ T_world_object
+
+
+def _grown(hulls: Sequence[Path]) -> Shape:
+    pieces = convex_pieces(tuple(hulls))
+    return Shape(tuple(piece.vertices + (_GROW_M + _MARGIN_M) * piece.vertex_normals for piece in pieces))

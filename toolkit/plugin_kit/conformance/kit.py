@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -63,6 +63,8 @@ class Subject:
         what = f"{self.plugin.stage} '{self.plugin.name}'"
         return self.plugin(validated(self.plugin.Config, dict(self.settings), what))
 
+
+SubjectT = TypeVar("SubjectT")
 
 Check = Callable[[Subject], str | None]
 """Raises ConformanceError, or returns a remark or nothing; its docstring says what is asked of the plugin."""
@@ -125,8 +127,8 @@ def make_ready(subject: Subject) -> None:
         return
 
 
-def run_check(check: Check, subject: Subject) -> Outcome:
-    """Run one check; nothing the plugin raises gets out."""
+def run_check(check: Callable[[SubjectT], str | None], subject: SubjectT) -> Outcome:
+    """Run one check; nothing that its subject raises gets out."""
     start, memory = time.perf_counter(), _peak_mb()
     try:
         passed, note = True, check(subject) or ""
@@ -138,7 +140,7 @@ def run_check(check: Check, subject: Subject) -> Outcome:
     return Outcome(title(check), passed, note, seconds, max(0.0, _peak_mb() - memory))
 
 
-def title(check: Check) -> str:
+def title(check: Callable[..., object]) -> str:
     """A check's name in words."""
     return check.__name__.replace("_", " ")
 

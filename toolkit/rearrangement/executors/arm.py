@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import cached_property, partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -23,7 +23,8 @@ from toolkit.registry import Plugin, PluginConfig, StageChoice
 from toolkit.sim.bench import Bench, Touch
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
-from toolkit.sim.robots import ROBOTS, RobotModel
+from toolkit.sim.robots import RobotModel, find_robot
+from toolkit.sim.urdf import require_parts
 from toolkit.types import Failure, Float, Frame, Image
 
 _RAYS = 64
@@ -35,15 +36,16 @@ _STEPS_A_CALL = 16
 class ArmConfig(PluginConfig):
     """Settings of `arm`."""
 
-    robot: Literal["gen3", "panda"] = Field("gen3", description="Kinova Gen3 with Robotiq 2F-85, or Franka Panda.")
+    robot: str = Field(
+        "gen3", description="`gen3` (Kinova Gen3 with Robotiq 2F-85), `panda`, or the folder of a robot."
+    )
     base_m: float = Field(0.52, gt=0, description="Distance of the robot's base from the table's centre.")
     grasp: Annotated[StageChoice, BeforeValidator(partial(GRASPERS.choose, default="antipodal"))] = Field(
         "antipodal", validate_default=True, description="Finds where to take hold: a choice of the stage `grasp`."
     )
-    motion: Annotated[StageChoice, BeforeValidator(partial(MOTION_PLANNERS.choose, default="ompl"))] = Field(
-        "ompl", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
+    motion: Annotated[StageChoice, BeforeValidator(partial(MOTION_PLANNERS.choose, default="roboplan"))] = Field(
+        "roboplan", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
     )
-    search_s: float = Field(5.0, gt=0, description="Longest search for one path, of processor time.")
     joint_speed: float = Field(0.8, gt=0, description="Speed of the fastest joint in free motion, rad/s.")
     line_speed: float = Field(0.25, gt=0, description="Speed of the fastest joint near objects, rad/s.")
     approach_m: float = Field(
@@ -77,7 +79,7 @@ class Arm(Plugin[ArmConfig], Executor):
     def check_ready(self) -> None:
         """Raise ToolkitError unless the simulator, the robot's description and both chosen stages can be had."""
         require_pybullet()
-        self._model.urdf()
+        require_parts(self._model)
         for part in self._parts:
             part.check_ready()
 
@@ -97,9 +99,9 @@ class Arm(Plugin[ArmConfig], Executor):
     def _planner(self) -> MotionPlanner:
         return MOTION_PLANNERS.create(self.config.motion.name, self.config.motion.settings)
 
-    @property
+    @cached_property
     def _model(self) -> RobotModel:
-        return ROBOTS[self.config.robot]
+        return find_robot(self.config.robot)
 
     def begin(self, task: TabletopScene) -> Frame:
         """Build the benchmark's scene in the simulator, with the arm at its home, and return the goal image."""
@@ -114,7 +116,10 @@ class Arm(Plugin[ArmConfig], Executor):
             self._clearance = opened.enter_context(closing(Clearance(self._model, base, hulls)))
             self._studio = opened.enter_context(Studio(task, cache_root()))
             self._goal = self._studio.goal()
-            self._mover = Mover(self._bench, self.config.joint_speed, self.config.line_speed)
+            fast, slow = (
+                min(speed, self._model.file.speed) for speed in (self.config.joint_speed, self.config.line_speed)
+            )
+            self._mover = Mover(self._bench, fast, slow)
             self._film_set: FilmSet | None = None
             self._bench.on_step = self._stepped
             self._bench.wait(_SETTLE_S, "settling", None)
@@ -193,8 +198,7 @@ class Arm(Plugin[ArmConfig], Executor):
         self._mover.back_off(reach.way_out(self._bench.target), number)
 
     def _reach(self) -> Reach:
-        c = self.config
-        return Reach(self._clearance, self._planner, c.approach_m, c.search_s, self._moves)
+        return Reach(self._clearance, self._planner, self.config.approach_m, self._moves)
 
     def _slipped(self, pose: Float, wanted: Float) -> Failure | None:
         shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))

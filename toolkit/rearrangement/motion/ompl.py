@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import importlib
 import importlib.util
-import time
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,11 +29,14 @@ class OmplConfig(PluginConfig):
 
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
     step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
+    iterations: int = Field(
+        4000, ge=1, description="Largest number of branches that are tried; a search ends with them."
+    )
     shortcuts: int = Field(60, ge=0, description="Shortcuts tried on a path that was found.")
 
 
 class Ompl(Plugin[OmplConfig], MotionPlanner):
-    """RRT-Connect, then shortcuts. The same problem and seed give the same path, unless time runs out."""
+    """RRT-Connect, then shortcuts. It asks the problem whether a pose is free, and does not look at its shapes."""
 
     stage = "motion"
     name = "ompl"
@@ -52,7 +55,7 @@ class Ompl(Plugin[OmplConfig], MotionPlanner):
             return direct
         found = self._search(problem, int(rng.integers(1, 2**31)))
         if found is None:
-            return Failure("motion", f"no motion was found within {problem.time_s:g} s")
+            return Failure("motion", f"no motion was found in {self.config.iterations} iterations")
         return shortcut(found, problem.free, self.config.step_rad, self.config.shortcuts, rng)
 
     def _search(self, problem: MotionProblem, seed: int) -> Float | None:
@@ -79,8 +82,8 @@ class Ompl(Plugin[OmplConfig], MotionPlanner):
         planner.setRange(self.config.range_rad)
         planner.setProblemDefinition(definition)
         planner.setup()
-        end = time.process_time() + problem.time_s
-        planner.solve(base.PlannerTerminationCondition(lambda: time.process_time() > end))
+        asked = count()
+        planner.solve(base.PlannerTerminationCondition(lambda: next(asked) >= self.config.iterations))
         if not definition.hasExactSolution():
             return None
         return np.array([state[0:dimensions] for state in definition.getSolutionPath().getStates()])

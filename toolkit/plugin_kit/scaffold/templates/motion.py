@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from pydantic import Field
 
@@ -36,8 +34,7 @@ class Template(Plugin[TemplateConfig], MotionPlanner):
                 return Failure("motion", f"the arm would touch something at the motion's {what}")
         c, rng = self.config, np.random.default_rng(seed)
         nodes, parents = [problem.start], [0]
-        end = time.process_time() + problem.time_s
-        while len(nodes) < c.nodes and time.process_time() < end:
+        while len(nodes) < c.nodes:
             towards_goal = rng.random() < c.goal_share
             target = problem.goal if towards_goal else rng.uniform(problem.lower, problem.upper)
             nearest = int(np.linalg.norm(np.array(nodes) - target, axis=1).argmin())

@@ -129,27 +129,28 @@ class Mover:
         until: Callable[[], bool] | None = None,
     ) -> None:
         """Drive along an (N, J) path, the fastest joint at `speed` rad/s, with a soft start and end."""
-        for q, velocity in zip(*_timed(path, speed), strict=True):
+        ramp_s = max(_RAMP_S, speed / self._bench.robot.model.file.acceleration)
+        for q, velocity in zip(*_timed(path, speed, ramp_s), strict=True):
             self._bench.step(q, velocity, phase, allowed)
             if until is not None and until():
                 break
 
 
-def _timed(path: Float, speed: float) -> tuple[Float, Float]:
+def _timed(path: Float, speed: float, ramp_s: float) -> tuple[Float, Float]:
     """(T, J) targets and (T, J) velocities along an (N, J) path, one per step of the bench."""
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
     keep = np.concatenate([[True], np.diff(turned) > 1e-9])
     path, turned = path[keep], turned[keep]
-    seconds = turned[-1] / speed + _RAMP_S
+    seconds = turned[-1] / speed + ramp_s
     count = max(2, round(seconds / STEP_S))
     times = np.linspace(0, seconds, count + 1)[1:]
-    ramped = _ramp(times) - _ramp(times - (seconds - _RAMP_S))
+    ramped = _ramp(times, ramp_s) - _ramp(times - (seconds - ramp_s), ramp_s)
     along = turned[-1] * ramped / ramped[-1] if turned[-1] > 0 else np.zeros(count)
     targets = np.stack([np.interp(along, turned, column) for column in path.T], axis=1)
     return targets, np.gradient(targets, STEP_S, axis=0)
 
 
-def _ramp(t: Float) -> Float:
+def _ramp(t: Float, ramp_s: float) -> Float:
     """How far one has come at unit speed, which is reached evenly over the ramp's time."""
     t = np.maximum(t, 0)
-    return np.where(t < _RAMP_S, t * t / (2 * _RAMP_S), t - _RAMP_S / 2)
+    return np.where(t < ramp_s, t * t / (2 * ramp_s), t - ramp_s / 2)

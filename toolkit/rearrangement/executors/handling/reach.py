@@ -56,17 +56,13 @@ class Reach:
         clearance: robot and objects, to keep clear of.
         planner: searches free paths.
         approach_m: way along the gripper's axis to the grasp, and back from the place.
-        search_s: longest search for one path, seconds of processor time.
         seed: of IK's starts and the search.
     """
 
-    def __init__(
-        self, clearance: Clearance, planner: MotionPlanner, approach_m: float, search_s: float, seed: int
-    ) -> None:
+    def __init__(self, clearance: Clearance, planner: MotionPlanner, approach_m: float, seed: int) -> None:
         self._clearance = clearance
         self._planner = planner
         self._approach_m = approach_m
-        self._search_s = search_s
         self._seed = seed
         self._inverse = Inverse(clearance.robot.chain, seed)
 
@@ -227,6 +223,6 @@ class Reach:
 
     def free_path(self, start: Float, goal: Float) -> Float | Failure:
         """(N, J) a path from one pose of the arm to another among objects as arranged."""
-        chain = self._clearance.robot.chain
-        problem = MotionProblem(start, goal, chain.lower, chain.upper, self._clearance.free, self._search_s)
+        clearance, chain = self._clearance, self._clearance.robot.chain
+        problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, clearance.world())
         return self._planner.plan(problem, self._seed)

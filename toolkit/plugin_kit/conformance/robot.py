@@ -1,0 +1,103 @@
+"""What a robot's folder must be right about, measured on its own description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from itertools import product
+
+import numpy as np
+
+from toolkit.plugin_kit.conformance.kit import Outcome, require, run_check
+from toolkit.sim.bullet import require_pybullet
+from toolkit.sim.clearance import Clearance
+from toolkit.sim.client import Client
+from toolkit.sim.robot import Robot
+from toolkit.sim.robots import RobotModel
+from toolkit.sim.urdf import require_parts
+
+_OFF_M = 0.005
+"""A gripper may open this much more or less than its robot.yaml says, and leave this much when closed."""
+
+_FIELD_DEG = (69.0, 42.0)
+"""A D435i's colour image, across and down."""
+
+_RAYS = (9, 7)
+_FAR_M = 3.0
+_SEEN = 0.5
+
+
+def check_robot(model: RobotModel) -> list[Outcome]:
+    """Run every check over a robot; one that fails does not keep the others from being run.
+
+    Raises:
+        ToolkitError: its files do not belong together: see `require_parts`; or there is no PyBullet to measure with.
+    """
+    require_pybullet()
+    require_parts(model)
+    return [run_check(check, model) for check in CHECKS]
+
+
+def it_stands_within_its_limits_at_home(model: RobotModel) -> str:
+    """Every angle of `home` lies within its joint's limits."""
+    with closing(Client()) as client:
+        chain = Robot(client, model, np.eye(4)).chain
+    for name, low, angle, high in zip(model.arm, chain.lower, model.home, chain.upper, strict=True):
+        require(
+            low <= angle <= high, f"`home` puts {name} at {angle:.2f} rad, and it goes from {low:.2f} to {high:.2f}"
+        )
+    return f"{len(model.arm)} joints"
+
+
+def it_touches_nothing_at_home(model: RobotModel) -> None:
+    """Neither itself nor the table it stands on."""
+    with closing(Clearance(model, np.eye(4), ())) as clearance:
+        clearance.arrange((), model.drive[0])
+        hit = clearance.hit(np.array(model.home))
+    require(hit is None, f"at `home` the arm touches {hit}")
+
+
+def its_gripper_opens_and_closes(model: RobotModel) -> str:
+    """The fingertips are `stroke_m` apart when it is open, and meet when it is closed."""
+    with closing(Client()) as client:
+        opened, closed = Robot(client, model, np.eye(4)).openings
+    stroke = model.gripper.stroke_m
+    require(
+        abs(opened - stroke) <= _OFF_M,
+        f"its fingertips are {100 * opened:.1f} cm apart along `closes` when it is open, but `stroke_m` says "
+        f"{100 * stroke:.1f} cm",
+    )
+    require(closed <= _OFF_M, f"its fingertips are still {100 * closed:.1f} cm apart when it is closed")
+    return f"{100 * opened:.1f} cm"
+
+
+def its_camera_sees_the_table(model: RobotModel) -> str:
+    """At home, most of a D435i's picture shows the table and not the robot."""
+    with closing(Client()) as client:
+        table = client.add_plane()
+        robot = Robot(client, model, np.eye(4))
+        robot.set(np.array(model.home))
+        number = next(number for number, name in robot.names.items() if name == model.file.camera.link)
+        T_world_link = client.pose(robot.body) if number < 0 else client.link(robot.body, number).T_world_link
+        T_world_camera = T_world_link @ model.file.camera.T_link_camera
+        eye = T_world_camera[:3, 3]
+        tangents = (
+            np.tan(np.radians(side) / 2) * np.linspace(-1, 1, n) for side, n in zip(_FIELD_DEG, _RAYS, strict=True)
+        )
+        ends = [eye + _FAR_M * T_world_camera[:3, :3] @ [x, y, 1.0] for x, y in product(*tangents)]
+        hits = [hit[0] for hit in client.rayTestBatch([eye.tolist()] * len(ends), np.array(ends).tolist())]
+    shares = [hits.count(body) / len(hits) for body in (table, robot.body)]
+    require(
+        shares[0] >= _SEEN,
+        f"at `home`, {shares[0]:.0%} of its camera's picture show the table and {shares[1]:.0%} the robot; "
+        "z is the way the camera looks, y down in its picture: see `camera`",
+    )
+    return f"{shares[0]:.0%} table, {shares[1]:.0%} robot"
+
+
+CHECKS: tuple[Callable[[RobotModel], str | None], ...] = (
+    it_stands_within_its_limits_at_home,
+    it_touches_nothing_at_home,
+    its_gripper_opens_and_closes,
+    its_camera_sees_the_table,
+)
