@@ -106,8 +106,38 @@ def test_every_default_is_written_out(write):
 def test_named_cells_multiply_with_the_sweep(write):
     text = BASE + "cells:\n- {name: a}\n- {name: b, set: {pipeline.fuse: first}}\nsweep: {pipeline.views: [all, 1]}\n"
     cells = expand(load_experiment(write(text)))
-    assert [c.name for c in cells] == ["a,views=all", "a,views=1", "b,views=all", "b,views=1"]
+    assert [c.name for c in cells] == ["a, views=all", "a, views=1", "b, views=all", "b, views=1"]
     assert [c.pipeline.fuse for c in cells] == ["all", "all", "first", "first"]
+
+
+def test_values_have_the_names_that_people_give_them(write):
+    text = BASE + "sweep: {pipeline.views: [{name: multi-view, value: all}, 1], pipeline.pnp: [{name: poselib}]}\n"
+    cells = expand(load_experiment(write(text)))
+    assert [c.name for c in cells] == ["multi-view, pnp=poselib", "views=1, pnp=poselib"]
+    assert [c.settings["pipeline.views"] for c in cells] == ["all", 1]
+    assert [c.pipeline.views for c in cells] == ["all", 1]
+    (kept,) = expand(load_experiment(write(text), {"dataset.scenes": [3], "pipeline.views": [2]}))
+    assert kept.pipeline.views == 2
+    replaced = expand(load_experiment(write(text), {"dataset.rotation_deg": [60, 180]}))
+    assert [c.pipeline.views for c in replaced] == ["all", "all"]
+
+
+def test_a_changed_experiment_says_so_in_its_title(write):
+    text = BASE + "title: Views\ndescription: What they do.\nsweep: {pipeline.views: [all, 1]}\n"
+    assert load_experiment(write(text)).title == "Views"
+    fewer = load_experiment(write(text), {"dataset.scenes": [3]})
+    assert (fewer.title, fewer.description) == ("Views", "What they do. Changed: scenes 3.")
+    other = load_experiment(write(text), {"dataset.scenes": [3], "pipeline.pnp": ["poselib", "jax_ransac"]})
+    assert other.title == "pnp: poselib or jax_ransac"
+    assert other.description == "With the settings of 'mine'. Changed: scenes 3."
+
+
+def test_the_reference_is_one_of_the_cells(write):
+    cells = "cells:\n- {name: a}\n- {name: b, set: {pipeline.fuse: first}}\nsweep: {pipeline.views: [all, 1]}\n"
+    for reference in ("b", "'b, views=1'"):
+        expand(load_experiment(write(BASE + cells + f"reference: {reference}\n")))
+    with pytest.raises(ToolkitError, match="reference 'c' is none of the cells"):
+        expand(load_experiment(write(BASE + cells + "reference: c\n")))
 
 
 @pytest.mark.parametrize(
