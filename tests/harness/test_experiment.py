@@ -110,6 +110,28 @@ def test_named_cells_multiply_with_the_sweep(write):
     assert [c.pipeline.fuse for c in cells] == ["all", "all", "first", "first"]
 
 
+def test_the_paper_s_rival_is_what_estimate_runs():
+    (estimate,) = expand(load_experiment("estimate"))
+    ours = [cell for cell in expand(load_experiment("paper")) if cell.name.startswith("ours")]
+    assert len(ours) == 2
+    assert all(cell.resolved()["pipeline"] == estimate.resolved()["pipeline"] for cell in ours)
+
+
+def test_official_weights_are_all_that_sets_the_official_experiment_apart():
+    official = {cell.name: cell.resolved() for cell in expand(load_experiment("paper_official"))}
+    shipped = {cell.name: cell.resolved() for cell in expand(load_experiment("paper"))}
+    for name, cell in official.items():
+        own, other = cell["pipeline"], shipped[f"paper, {name}"]["pipeline"]
+        assert cell["dataset"] == shipped[f"paper, {name}"]["dataset"]
+        assert {key for key in own if own[key] != other[key]} == {
+            "segmenter",
+            "goal_segmenter",
+            "descriptor",
+            "matcher",
+        }
+        assert (own["descriptor"]["name"], own["matcher"]["name"]) == ("mixvpr", "loftr")
+
+
 def test_values_have_the_names_that_people_give_them(write):
     text = BASE + "sweep: {pipeline.views: [{name: multi-view, value: all}, 1], pipeline.pnp: [{name: poselib}]}\n"
     cells = expand(load_experiment(write(text)))
