@@ -142,7 +142,7 @@ def test_the_version_is_said_without_a_command():
 
 
 COMPLETIONS = {
-    "ablate pap": {"paper", "paper_official", "paper_table1", "paper_table2"},
+    "ablate pap": {"paper", "paper_official", "paper_quick", "paper_table1", "paper_table2"},
     "ablate --matcher si": {"sift"},
     "ablate --goal-segmenter or": {"oracle"},
     "rearrange --planner op": {"optimal"},

@@ -117,6 +117,20 @@ def test_the_paper_s_rival_is_what_estimate_runs():
     assert all(cell.resolved()["pipeline"] == estimate.resolved()["pipeline"] for cell in ours)
 
 
+def test_a_choice_of_the_command_line_holds_in_every_cell():
+    for choice in ({"pipeline.segmenter": ["oracle"]}, {"pipeline.segmenter.name": ["oracle"]}):
+        assert {cell.pipeline.segmenter.name for cell in expand(load_experiment("paper", choice))} == {"oracle"}
+    refined = expand(load_experiment("beyond_paper", {"pipeline.refiner": ["none"]}))
+    assert {cell.pipeline.refiner.name for cell in refined} == {"none"}
+
+
+def test_the_short_story_is_the_paper_s_without_a_download():
+    long = {cell.name: cell.resolved()["pipeline"] for cell in expand(load_experiment("paper"))}
+    for cell in expand(load_experiment("paper_quick")):
+        own, other = cell.resolved()["pipeline"], long[f"{cell.name}, ±180°"]
+        assert {key for key in own if own[key] != other[key]} <= {"descriptor"}
+
+
 def test_official_weights_are_all_that_sets_the_official_experiment_apart():
     official = {cell.name: cell.resolved() for cell in expand(load_experiment("paper_official"))}
     shipped = {cell.name: cell.resolved() for cell in expand(load_experiment("paper"))}

@@ -273,8 +273,12 @@ def _drop_sweep(data: dict[str, Any]) -> None:
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
-    """Apply a command-line choice: it replaces what the file set or swept at that path."""
+    """Apply a command-line choice: it replaces what the file set or swept at that path, in every cell."""
     data.setdefault("sweep", {}).pop(path, None)
+    for cell in data.get("cells", ()):
+        for former in list(cell.get("set", ())):
+            if keys_of(former)[: len(keys_of(path))] == keys_of(path):
+                del cell["set"][former]
     if len(values) == 1:
         assign(data, path, values[0])
     else:
