@@ -33,9 +33,7 @@ def ablate(
             help="A shipped experiment's name, or a YAML file; else paper_quick, or quick with your settings.",
         ),
     ] = None,
-    attribute: Annotated[
-        bool, typer.Option("--attribute", help="Put the truth in the place of one stage at a time: what each costs.")
-    ] = False,
+    attribute: Annotated[bool, typer.Option("--attribute", help="What each stage costs: truth in its place.")] = False,
     *,
     choices: dict[str, Any],
     run: dict[str, Any],
@@ -56,9 +54,7 @@ def ablate(
 @with_run_options
 def rearrange(
     experiment: ExperimentArgument = "rearrange",
-    film: Annotated[
-        bool, typer.Option("--film", help="Film the first scene: film.mp4, and film.rrd where rerun is installed.")
-    ] = False,
+    film: Annotated[bool, typer.Option("--film", help="Film the first scene (film.mp4, film.rrd).")] = False,
     *,
     choices: dict[str, Any],
     run: dict[str, Any],
