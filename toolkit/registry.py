@@ -229,7 +229,8 @@ def validated(model: type[ModelT], settings: Any, what: str) -> ModelT:
             hint = suggest(str(first["loc"][-1]), list(model.model_fields)) if len(first["loc"]) == 1 else ""
             raise ToolkitError(f"{what}: unknown setting '{path}'{hint}") from error
         where = f"{what}: setting '{path}'" if path else what
-        raise ToolkitError(f"{where}: {first['msg']} (got {first.get('input')!r})") from error
+        said = first["msg"].removeprefix("Value error, ")
+        raise ToolkitError(f"{where}: {said} (got {first.get('input')!r})") from error
 
 
 def load_plugin_file(path: Path) -> Any:

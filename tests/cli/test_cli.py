@@ -22,11 +22,14 @@ from toolkit.cli import doctor
 from toolkit.cli.commands import main
 from toolkit.data.bop import load_capture
 from toolkit.data.clouds import read_cloud
+from toolkit.data.scene import TabletopConfig
 from toolkit.geometry import invert, transform_points
-from toolkit.harness.experiment import load_experiment
+from toolkit.harness.experiment import PipelineChoice, RearrangeChoice, load_experiment
 from toolkit.results.poses import read_poses
 from toolkit.results.rows import read_rows
 from toolkit.settings import shipped_settings
+from toolkit.stages import REGISTRIES
+from toolkit.weights.cards import CARDS
 
 START = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
 
@@ -73,6 +76,7 @@ MISTAKES = {
     "too many views": (["ablate", *FEW, "--set", "pipeline.views=3"], "the capture has 2 current frames"),
     "no such object folder": (["ablate", "--objects", "nowhere"], "is not a folder"),
     "too many objects": (["ablate", "--set", "dataset.max_objects=200"], "max_objects is 200"),
+    "a track for its effects": (["ablate", "--set", "dataset.noise=d435"], "--set dataset.track=d435"),
     "no such plugin": (["ablate", "--plugin", "nowhere.py"], "does not exist"),
     "no such capture": (["estimate", "nowhere"], "does not exist"),
     "a sweep for estimate": (["estimate", "x", "--matcher", "sift", "--matcher", "loftr"], "use `toolkit ablate`"),
@@ -80,6 +84,9 @@ MISTAKES = {
     "no such run to view": (["view", "nowhere"], "neither a run folder (with rows.jsonl) nor a capture folder"),
     "unknown stage": (["list", "matchr"], "did you mean 'matcher'?"),
     "unknown implementation": (["show", "matcher", "lofter"], "did you mean 'loftr'?"),
+    "no implementation to show": (["show", "matcher"], "say which matcher: "),
+    "nothing of that kind to show": (["show", "datset"], "did you mean 'dataset'?"),
+    "an implementation of no stage": (["show", "dataset", "sift"], "leave 'sift' out"),
     "a sweep to attribute": (["ablate", "quick", "--attribute"], "attribution takes one setting"),
     "a new plugin for no stage": (["plugin", "new", "matchr", "mine"], "did you mean 'matcher'?"),
     "a new plugin with a name taken": (["plugin", "new", "matcher", "sift"], "there is a matcher 'sift' already"),
@@ -136,13 +143,45 @@ def test_every_shipped_experiment_is_listed_with_its_description_and_file():
     assert str(shipped["quick"].parent) in listed.stdout
 
 
+PARTS = {"dataset": TabletopConfig, "pipeline": PipelineChoice, "rearrange": RearrangeChoice}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_setting_of_a_part_is_shown_with_its_meaning(part):
+    shown = toolkit("show", part, COLUMNS="80")
+    assert shown.returncode == 0, shown.stderr
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in shown.stdout.splitlines() if "│" in line]
+    assert [name for name, _, _ in lines if name] == list(PARTS[part].model_fields)
+    assert all(meaning for _, _, meaning in lines)
+    assert max(map(len, shown.stdout.splitlines()[1:])) <= 80
+
+
+@pytest.mark.parametrize("what", [["list"], ["list", "experiments"], ["weights", "list"]])
+def test_no_table_breaks_a_name(what):
+    names = {
+        "list": [entry.name for registry in REGISTRIES.values() for entry in registry.entries()],
+        "experiments": list(shipped_settings()),
+        "weights": list(CARDS),
+    }
+    shown = toolkit(*what, COLUMNS="80").stdout
+    words = set(re.findall(r"[\w.-]+", shown))
+    assert words >= set(names["weights" if what[0] == "weights" else what[-1]])
+
+
+@pytest.mark.parametrize("command", ["ablate", "rearrange", "estimate", "evaluate"])
+def test_help_fits_a_screen(command):
+    lines = toolkit(command, "--help", COLUMNS="80").stdout.rstrip().splitlines()
+    assert len(lines) <= 50 and max(map(len, lines)) <= 80
+    assert any("--goal-segmenter" in line for line in lines)
+
+
 def test_the_version_is_said_without_a_command():
     done = toolkit("--version")
     assert (done.returncode, done.stdout) == (0, f"toolkit {__version__}\n")
 
 
 COMPLETIONS = {
-    "ablate pap": {"paper_table1", "paper_table2"},
+    "ablate pap": {"paper", "paper_official", "paper_quick", "paper_table1", "paper_table2"},
     "ablate --matcher si": {"sift"},
     "ablate --goal-segmenter or": {"oracle"},
     "rearrange --planner op": {"optimal"},

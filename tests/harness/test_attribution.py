@@ -11,12 +11,13 @@ from made_rows import make_rows
 from rich.console import Console
 
 from toolkit.errors import ToolkitError
+from toolkit.harness.ablate import Ablation
 from toolkit.harness.attribution import attribution
 from toolkit.harness.experiment import expand, load_experiment
 from toolkit.perception.assignment import true_instances
 from toolkit.perception.database import Database
 from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, regions, segments_of
-from toolkit.results.comparisons import ALL_TRUE, AS_IT_IS, compare_cells, print_results
+from toolkit.results.comparisons import ALL_TRUE, AS_IT_IS, compare_cells
 from toolkit.results.report import write_report
 from toolkit.results.rows import write_rows
 from toolkit.results.stats import holm, mcnemar
@@ -62,10 +63,10 @@ def test_costs_are_measured_from_the_setting_as_it_is(tmp_path):
     success = [[r.success_sym for r in rows if r.cell == c] for c in (AS_IT_IS, "true retrieval", ALL_TRUE)]
     assert [c.p for c in found] == holm([mcnemar(success[0], success[1]), mcnemar(success[0], success[2])])
     console = Console(width=140, record=True, file=io.StringIO())
-    print_results(rows, console)
+    write_rows(tmp_path / "rows.jsonl", rows)
+    Ablation().print(tmp_path, console)
     text = console.export_text()
     assert "What each stage costs" in text and "lost in matching, PnP and refinement" in text
-    write_rows(tmp_path / "rows.jsonl", rows)
     assert "lost in matching, PnP and refinement" in write_report(tmp_path).read_text()
 
 

@@ -55,8 +55,8 @@ class Counting(RunKind[ObjectRow, SceneTask]):
         cells = dict.fromkeys(row.cell for row in rows)
         return [CellCount(cell, sum(row.cell == cell for row in rows)) for cell in cells]
 
-    def print(self, rows, console):
-        console.print(len(rows))
+    def print(self, run, console):
+        console.print(run)
 
     def write_page(self, run):
         (run / "report.html").write_text("counted")
@@ -99,6 +99,7 @@ def test_any_kind_of_run_leaves_the_same_files_and_its_rows_in_order(experiment,
     assert (run / "summary.csv").read_text().splitlines() == ["cell,rows", "views=all,6", "views=1,6"]
     assert (run / "report.html").read_text() == "counted"
     meta = json.loads((run / "meta.json").read_text())
+    assert meta["experiment"]["title"] == experiment.title == "views: all or 1"
     assert set(meta["weights"]) == {f"weights of {cell}" for cell in CELLS} and meta["datasets"] == [{"made": "up"}]
     resolved = yaml.safe_load((run / "experiment.resolved.yaml").read_text())
     assert resolved == resolve("quick", [cell.resolved() for cell in expand(experiment)])

@@ -106,8 +106,74 @@ def test_every_default_is_written_out(write):
 def test_named_cells_multiply_with_the_sweep(write):
     text = BASE + "cells:\n- {name: a}\n- {name: b, set: {pipeline.fuse: first}}\nsweep: {pipeline.views: [all, 1]}\n"
     cells = expand(load_experiment(write(text)))
-    assert [c.name for c in cells] == ["a,views=all", "a,views=1", "b,views=all", "b,views=1"]
+    assert [c.name for c in cells] == ["a, views=all", "a, views=1", "b, views=all", "b, views=1"]
     assert [c.pipeline.fuse for c in cells] == ["all", "all", "first", "first"]
+
+
+def test_the_paper_s_rival_is_what_estimate_runs():
+    (estimate,) = expand(load_experiment("estimate"))
+    ours = [cell for cell in expand(load_experiment("paper")) if cell.name.startswith("ours")]
+    assert len(ours) == 2
+    assert all(cell.resolved()["pipeline"] == estimate.resolved()["pipeline"] for cell in ours)
+
+
+def test_a_choice_of_the_command_line_holds_in_every_cell():
+    for choice in ({"pipeline.segmenter": ["oracle"]}, {"pipeline.segmenter.name": ["oracle"]}):
+        assert {cell.pipeline.segmenter.name for cell in expand(load_experiment("paper", choice))} == {"oracle"}
+    refined = expand(load_experiment("beyond_paper", {"pipeline.refiner": ["none"]}))
+    assert {cell.pipeline.refiner.name for cell in refined} == {"none"}
+
+
+def test_the_short_story_is_the_paper_s_without_a_download():
+    long = {cell.name: cell.resolved()["pipeline"] for cell in expand(load_experiment("paper"))}
+    for cell in expand(load_experiment("paper_quick")):
+        own, other = cell.resolved()["pipeline"], long[f"{cell.name}, ±180°"]
+        assert {key for key in own if own[key] != other[key]} <= {"descriptor"}
+
+
+def test_official_weights_are_all_that_sets_the_official_experiment_apart():
+    official = {cell.name: cell.resolved() for cell in expand(load_experiment("paper_official"))}
+    shipped = {cell.name: cell.resolved() for cell in expand(load_experiment("paper"))}
+    for name, cell in official.items():
+        own, other = cell["pipeline"], shipped[f"paper, {name}"]["pipeline"]
+        assert cell["dataset"] == shipped[f"paper, {name}"]["dataset"]
+        assert {key for key in own if own[key] != other[key]} == {
+            "segmenter",
+            "goal_segmenter",
+            "descriptor",
+            "matcher",
+        }
+        assert (own["descriptor"]["name"], own["matcher"]["name"]) == ("mixvpr", "loftr")
+
+
+def test_values_have_the_names_that_people_give_them(write):
+    text = BASE + "sweep: {pipeline.views: [{name: multi-view, value: all}, 1], pipeline.pnp: [{name: poselib}]}\n"
+    cells = expand(load_experiment(write(text)))
+    assert [c.name for c in cells] == ["multi-view, pnp=poselib", "views=1, pnp=poselib"]
+    assert [c.settings["pipeline.views"] for c in cells] == ["all", 1]
+    assert [c.pipeline.views for c in cells] == ["all", 1]
+    (kept,) = expand(load_experiment(write(text), {"dataset.scenes": [3], "pipeline.views": [2]}))
+    assert kept.pipeline.views == 2
+    replaced = expand(load_experiment(write(text), {"dataset.rotation_deg": [60, 180]}))
+    assert [c.pipeline.views for c in replaced] == ["all", "all"]
+
+
+def test_a_changed_experiment_says_so_in_its_title(write):
+    text = BASE + "title: Views\ndescription: What they do.\nsweep: {pipeline.views: [all, 1]}\n"
+    assert load_experiment(write(text)).title == "Views"
+    fewer = load_experiment(write(text), {"dataset.scenes": [3]})
+    assert (fewer.title, fewer.description) == ("Views", "What they do. Changed: scenes 3.")
+    other = load_experiment(write(text), {"dataset.scenes": [3], "pipeline.pnp": ["poselib", "jax_ransac"]})
+    assert other.title == "pnp: poselib or jax_ransac"
+    assert other.description == "With the settings of 'mine'. Changed: scenes 3."
+
+
+def test_the_reference_is_one_of_the_cells(write):
+    cells = "cells:\n- {name: a}\n- {name: b, set: {pipeline.fuse: first}}\nsweep: {pipeline.views: [all, 1]}\n"
+    for reference in ("b", "'b, views=1'"):
+        expand(load_experiment(write(BASE + cells + f"reference: {reference}\n")))
+    with pytest.raises(ToolkitError, match="reference 'c' is none of the cells"):
+        expand(load_experiment(write(BASE + cells + "reference: c\n")))
 
 
 @pytest.mark.parametrize(

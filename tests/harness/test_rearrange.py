@@ -165,7 +165,9 @@ def test_any_experiment_can_be_rearranged_and_stages_sweep():
         "samples": 200,
     }
     table = {cell.name for cell in expand(load_experiment("paper_table2"))}
-    assert table == {f"rounds={rounds},views={views}" for rounds in (4, 1) for views in ("all", 1)}
+    assert table == {
+        f"{rounds}, {views}" for rounds in ("multi-step", "one step") for views in ("multi-view", "single-view")
+    }
 
 
 # One episode, with perception under control

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import re
@@ -9,6 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+import yaml
 from made_rows import make_move_rows, make_rows
 from markupsafe import escape
 from rich.console import Console
@@ -16,10 +18,11 @@ from rich.console import Console
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.pictures.drawing import overlay
-from toolkit.results.comparisons import compare_cells, print_comparisons
+from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
-from toolkit.results.rows import read_rows, summarize, write_rows
-from toolkit.results.stats import holm, mcnemar
+from toolkit.results.rows import read_rows, summarize, write_rows, write_summary
+from toolkit.results.stats import holm, mcnemar, newcombe_interval
 from toolkit.results.tables import motion_table
 
 PAGES = {"motion": (make_rows, write_report), "completion": (make_move_rows, write_completion_report)}
@@ -60,7 +63,7 @@ def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
     assert "toolkit 9.9, commit 0123456789ab with uncommitted changes, 2026-01-02, Python 3.11, slow, 3 cores" in page
     assert escape(settings) in page
     # Of seven names, each stands for eight or nine objects; six in sixty are wrong.
-    hardest = re.findall(r"<tr><td>(object_\d)</td><td>(\d) of (\d)</td>", page)
+    hardest = re.findall(r"<tr><td>(object_\d)</td><td>(\d)</td><td>(\d)</td>", page)
     assert sum(int(seen) - int(right) for _, right, seen in hardest) == 6
     assert [int(count) for count in re.findall(r"at least N are needed &lt;b&gt;&amp;</td><td>(\d+)<", page)] == [36, 6]
     assert page.count("<svg") >= 2 and "objects in the scene" in page and "symmetry of the object" in page
@@ -68,7 +71,7 @@ def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
 
 def test_what_is_all_right_has_nothing_wrong(write):
     page = write(1.0, 1.0)
-    assert "none: every object is right" in page and "nothing" in page
+    assert page.count(">nothing</td>") == 2
 
 
 @pytest.mark.parametrize("kind", PAGES)
@@ -97,13 +100,31 @@ def test_cells_are_compared_on_the_same_scenes_only():
     assert comparison.p < 1e-5 and comparison.verdict == "40.0 points worse"
 
 
-def test_p_values_are_adjusted_for_all_pairs_of_the_sweep():
-    three = make_rows("a", 0.9) + make_rows("b", 0.7) + make_rows("c", 0.6)
+@pytest.mark.parametrize(("reference", "asked"), [("", ("ba", "ca")), ("b", ("ab", "cb")), ("elsewhere", ("ba", "ca"))])
+def test_the_reference_is_chosen_before_the_run_and_p_values_are_adjusted_for_what_is_asked(reference, asked):
+    three = make_rows("a", 0.6) + make_rows("b", 0.7) + make_rows("c", 0.9)
     success = {cell: [row.success_sym for row in three if row.cell == cell] for cell in "abc"}
-    raw = [mcnemar(success[x], success[y]) for x, y in ("ab", "ac", "bc")]
-    found = compare_cells(three)
-    assert [c.p for c in found] == holm(raw)[:2]
-    assert {c.comparisons for c in found} == {3}
+    found = compare_cells(three, reference)
+    assert [(c.cell, c.against) for c in found] == [tuple(pair) for pair in asked]
+    assert [c.p for c in found] == holm([mcnemar(success[x], success[y]) for x, y in asked])
+    assert {c.comparisons for c in found} == {2}
+    assert "Holm over 2 comparisons" in comparison_table(found).title
+
+
+def test_a_named_entry_is_the_reference_in_every_dataset():
+    cells = [
+        ("one, small", "one", "s"),
+        ("two, small", "two", "s"),
+        ("one, large", "one", "l"),
+        ("two, large", "two", "l"),
+    ]
+    rows = [
+        row.model_copy(update={"settings": {"cell": entry}})
+        for cell, entry, dataset in cells
+        for row in make_rows(cell, 0.5, dataset=dataset)
+    ]
+    found = compare_cells(rows, "two")
+    assert [(c.cell, c.against) for c in found] == [("one, small", "two, small"), ("one, large", "two, large")]
 
 
 def test_what_is_not_shown_is_said_with_what_would_show_it():
@@ -131,15 +152,34 @@ def test_completion_is_compared_by_scene():
     (comparison,) = compare_cells(a + b)
     done = [np.mean([all(r.success_sym for r in c[i : i + 3]) for i in range(0, 60, 3)]) for c in (a, b)]
     assert comparison.completion.mean == pytest.approx(done[1] - done[0])
+    by_scene = [[all(r.success_sym for r in c[i : i + 3]) for i in range(0, 60, 3)] for c in (b, a)]
+    assert comparison.completion.interval == newcombe_interval(*by_scene)
 
 
-def test_the_comparison_is_printed_under_the_table():
-    console = Console(width=140, record=True, file=io.StringIO())
-    print_comparisons(compare_cells(make_rows("best", 0.9) + make_rows("views=1", 0.5)), console)
+def test_cells_that_agree_everywhere_are_not_known_to_be_the_same():
+    (same,) = compare_cells(make_rows("a", 1.0, scenes=7) + make_rows("b", 1.0, scenes=7))
+    for found, pairs in ((same.success, 21), (same.completion, 7)):
+        low, high = found.interval
+        assert found.mean == 0 and low < 0 < high
+        assert (low, high) == pytest.approx(newcombe_interval([True] * pairs, [True] * pairs))
+
+
+@pytest.mark.parametrize("width", [80, 140])
+def test_a_comparison_names_what_it_is_against(width):
+    console = Console(width=width, record=True, file=io.StringIO())
+    comparison_table(compare_cells(make_rows("the first", 0.9) + make_rows("views=1", 0.5))).print(console)
     text = console.export_text()
-    assert "views=1" in text and "-40.0 [" in text and "40.0 points worse" in text
-    print_comparisons([], console)
-    assert not console.export_text()
+    assert "views=1" in text and "Against 'the first'" in text
+    assert "-40.0 [" in text and "40.0 points worse" in " ".join(text.split())
+
+
+def test_the_summary_holds_the_comparisons(tmp_path):
+    rows = make_rows("a", 0.9) + make_rows("b", 0.5)
+    write_summary(tmp_path / "summary.csv", summarize(rows), compare_cells(rows))
+    first, second = csv.DictReader((tmp_path / "summary.csv").open())
+    assert first["against"] == "" and second["against"] == "a"
+    assert float(second["against_success"]) == pytest.approx(-0.4)
+    assert float(second["against_success_low"]) < -0.4 < float(second["against_success_high"]) < 0
 
 
 def test_rows_survive_their_file(tmp_path):
@@ -166,7 +206,7 @@ def test_the_page_comes_with_its_table_as_markdown(tmp_path):
     rows = [row.model_copy(update={"settings": swept}) for row in make_rows("rotation_deg=180,views=all", 0.9)]
     write_rows(tmp_path / "rows.jsonl", rows)
     write_report(tmp_path)
-    heading, _, line, paper = (tmp_path / "summary.md").read_text().splitlines()
+    _, _, heading, _, line, paper, *_ = (tmp_path / "summary.md").read_text().splitlines()
     assert heading.startswith("| cell | rotation, deg | p90 |") and "| 90% [80, 95] |" in line
     assert paper.startswith("| *paper, Table I* | *0.25* |  | *0.18* |")
     assert heading.count("|") == line.count("|") == paper.count("|")
@@ -194,3 +234,64 @@ def test_confidence_is_shown_where_it_is_stated(tmp_path):
     assert "stated confidence" in write_report(tmp_path).read_text()
     write_rows(tmp_path / "rows.jsonl", make_rows("silent", 0.5))
     assert "stated confidence" not in write_report(tmp_path).read_text()
+
+
+# Tables and plots to print
+
+TABLE = FigureTable(
+    "Some & all",
+    (Column("cell"), Column("share", name="share, %"), Column("why", kind="words")),
+    (
+        Line(("a_1", Figure(90.0, (80.0, 95.5), ".0f", "%"), "x < 5°")),
+        Line(("the paper", Figure(float("inf"))), is_paper=True),
+    ),
+)
+
+
+def test_a_table_is_the_same_in_every_form():
+    assert list(csv.reader(TABLE.csv().splitlines())) == [
+        ["cell", "share, %", "share, % low", "share, % high", "why"],
+        ["a_1", "90.0", "80.0", "95.5", "x < 5°"],
+        ["the paper", "inf", "", "", ""],
+    ]
+    assert TABLE.markdown().splitlines()[-2:] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
+    latex = TABLE.latex().splitlines()
+    assert latex[2] == r"\begin{tabular}{lrl}" and r"\toprule" in latex
+    assert r"a\_1 & 90\% {\scriptsize [80, 96]} & x $<$ 5$^\circ$ \\" in latex
+    assert r"\textit{the paper} & \textit{$\infty$} &  \\" in latex
+
+
+def test_every_table_and_plot_lies_beside_the_page_and_is_the_same_again(write, tmp_path):
+    page = write()
+    plots = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert {"count.svg", "count.pdf", "symmetry.svg", "symmetry.pdf"} <= plots
+    assert page.count("<svg") == len(plots) / 2
+    stems = {path.stem for path in (tmp_path / "tables").iterdir()}
+    assert {"results", "comparisons", "failures", "hardest"} <= stems
+    assert {path.suffix for path in (tmp_path / "tables").iterdir()} == {".csv", ".tex"}
+    made = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    assert (
+        made[tmp_path / "figures" / "count.pdf"].startswith(b"%PDF") and b"n = " in made[tmp_path / "figures/count.svg"]
+    )
+    write()
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()} == made
+
+
+def test_the_page_says_what_was_run_and_what_sets_its_cells_apart(write, tmp_path):
+    stages = {"matcher": {"name": "sift", "ratio": 0.8}, "views": "all"}
+    other = {"matcher": {"name": "loftr", "weights": "outdoor"}, "views": "all"}
+    cells = [
+        {"cell": "good", "dataset": {"scenes": 20, "light": 1}, "pipeline": stages},
+        {"cell": "<script>bad", "dataset": {"scenes": 20, "light": 1}, "pipeline": other},
+    ]
+    (tmp_path / "experiment.resolved.yaml").write_text(yaml.safe_dump({"experiment": "mine", "cells": cells}))
+    about = {"title": "Two matchers", "description": "Which is better?", "reference": "<script>bad"}
+    meta = dict.fromkeys(("toolkit", "commit", "dirty", "started", "python", "processor", "cores"), "")
+    meta |= {"experiment": about, "command": ["/bin/toolkit", "ablate", "my file"]}
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    page = write()
+    assert "Two matchers" in page and "Which is better?" in page and "toolkit ablate &#39;my file&#39;" in page
+    assert "<dt>scenes</dt><dd>20</dd>" in page and "<dt>views</dt><dd>all</dd>" in page
+    assert "<dt>light</dt>" not in page
+    assert "matcher sift</td>" in page and "matcher loftr</td>" in page  # what belongs to each matcher says nothing
+    assert "good" in (tmp_path / "tables" / "comparisons.csv").read_text().splitlines()[1].split(",")[0]

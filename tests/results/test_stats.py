@@ -11,6 +11,7 @@ from toolkit.results.stats import (
     bootstrap_interval,
     holm,
     mcnemar,
+    newcombe_interval,
     objects_for_mcnemar,
     paired_difference,
     resolvable_difference,
@@ -23,6 +24,36 @@ def test_wilson_matches_published_values():
     # Newcombe, Statistics in Medicine 1998, table I: 81 of 263.
     assert wilson_interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
     assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def pairs(both, only_a, only_b, neither):
+    a = [True] * (both + only_a) + [False] * (only_b + neither)
+    return a, [True] * both + [False] * only_a + [True] * only_b + [False] * neither
+
+
+def test_newcombe_matches_published_values():
+    # Newcombe, Statistics in Medicine 1998, method 10; Fagerland, Lydersen and Laake, BMC Med. Res. Methodol. 2014.
+    assert newcombe_interval(*pairs(36, 12, 2, 0)) == pytest.approx((0.0569, 0.3404), abs=1e-4)
+    assert newcombe_interval(*pairs(1, 1, 7, 12)) == pytest.approx((-0.507, -0.026), abs=5e-4)
+    assert newcombe_interval([], []) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize("outcome", [True, False])
+def test_newcombe_is_an_interval_where_nothing_differs(outcome):
+    low, high = newcombe_interval([outcome] * 7, [outcome] * 7)
+    assert high == -low == pytest.approx(wilson_interval(0, 7)[1])
+
+
+@pytest.mark.parametrize("scenes", [7, 20, 60])
+def test_newcombe_covers_the_truth_as_often_as_it_says(scenes):
+    rng = np.random.default_rng(scenes)
+    covered = 0
+    for _ in range(1000):
+        draw = rng.random(scenes)
+        a, b = draw < 0.7, (draw < 0.4) | (draw > 0.9)
+        low, high = newcombe_interval(a.tolist(), b.tolist())
+        covered += low <= 0.2 <= high
+    assert 0.93 <= covered / 1000 <= 0.99
 
 
 def test_bootstrap_covers_the_truth_about_as_often_as_it_says():

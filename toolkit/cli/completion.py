@@ -27,7 +27,7 @@ def stage_names(incomplete: str) -> list[str]:
 
 def implementation_names(context: typer.Context, incomplete: str) -> list[str]:
     """Implementations of the stage that is named before."""
-    return _implementations(context.params.get("stage", ""), incomplete)
+    return _implementations(context.params.get("stage") or context.params.get("what", ""), incomplete)
 
 
 def implementations_of(slot: str) -> Callable[[str], list[str]]:

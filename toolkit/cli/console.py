@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from toolkit.progress import Progress
 
 
@@ -15,6 +18,16 @@ def say(*parts: Any) -> None:
     console = Console()
     for part in parts:
         console.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
+
+
+def listing(*headings: str, typed: Sequence[str] = ()) -> Table:
+    """An empty table with these columns; what people have to type, under the headings `typed`, is never broken."""
+    from rich.table import Table
+
+    table = Table()
+    for heading in headings:
+        table.add_column(heading, no_wrap=heading in typed, overflow="fold")
+    return table
 
 
 def bars() -> Progress:

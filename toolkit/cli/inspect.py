@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import json
 from inspect import getdoc
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import BaseModel
 
-from toolkit.cli.completion import stage_names
-from toolkit.cli.console import say
-from toolkit.cli.options import ImplementationArgument, StageArgument
+from toolkit.cli.completion import implementation_names, stage_names
+from toolkit.cli.console import listing, say
 from toolkit.errors import ToolkitError, suggest
 
 if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from toolkit.registry import Registry
+    from toolkit.registry import Plugin, Registry
 
 app = typer.Typer()
 
 _EXPERIMENTS = "experiments"
+_PARTS = ("dataset", "pipeline", "rearrange")
 
 
 def _listed(incomplete: str) -> list[str]:
     return [*stage_names(incomplete), *([_EXPERIMENTS] if _EXPERIMENTS.startswith(incomplete) else [])]
+
+
+def _shown(incomplete: str) -> list[str]:
+    return [*stage_names(incomplete), *(part for part in _PARTS if part.startswith(incomplete))]
 
 
 @app.command("list")
@@ -48,26 +54,32 @@ def list_what(
 
 
 @app.command()
-def show(stage: StageArgument, name: ImplementationArgument) -> None:
-    """Show one implementation: what it does, its settings with defaults, its version, its weights."""
-    from rich.table import Table
+def show(
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="STAGE", autocompletion=_shown, help="A stage, or 'dataset', 'pipeline' or 'rearrange'."
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", autocompletion=implementation_names, help="An implementation, e.g. sift."),
+    ] = None,
+) -> None:
+    """Show one implementation, or a part of an experiment: what it does, and every setting with default and meaning."""
     from rich.text import Text
 
-    from toolkit.stages import registry_of
-    from toolkit.weights.resolve import find_card
-
-    plugin = registry_of(stage).get(name)
-    say(Text.assemble((f"{stage} {name}", "bold"), f"  version {plugin.version}  ({plugin.__module__})"))
+    if what in _PARTS:
+        if name is not None:
+            raise ToolkitError(f"'{what}' is a part of every experiment, not a stage; leave '{name}' out")
+        _show_part(what)
+        return
+    plugin = _implementation(what, name)
+    say(Text.assemble((f"{what} {name}", "bold"), f"  version {plugin.version}  ({plugin.__module__})"))
     say(Text(getdoc(plugin) or ""))
-    table = Table("setting", "default", "meaning")
-    for key, info in plugin.Config.model_fields.items():
-        default = "required" if info.is_required() else repr(info.get_default(call_default_factory=True))
-        table.add_row(key, default, info.description or "")
     if plugin.Config.model_fields:
-        say(table)
-    for card in map(find_card, plugin.weights):
-        terms = f"{card.licence}, non-commercial" if card.non_commercial else card.licence
-        say(f"weights {card.name}: {terms}; {card.size_mb:.1f} MB; {card.citation}")
+        say(_settings(plugin.Config))
+    _show_weights(plugin)
 
 
 @app.command()
@@ -79,10 +91,58 @@ def doctor() -> None:
         say(line)
 
 
-def _implementations(registries: list[Registry[Any]]) -> Table:
-    from rich.table import Table
+def _implementation(stage: str, name: str | None) -> type[Plugin]:
+    from toolkit.stages import REGISTRIES
 
-    table = Table("stage", "name", "from", "what it is")
+    if stage not in REGISTRIES:
+        raise ToolkitError(f"unknown stage '{stage}'{suggest(stage, [*REGISTRIES, *_PARTS])}")
+    registry = REGISTRIES[stage]
+    if name is None:
+        raise ToolkitError(f"say which {stage}: {', '.join(registry.names())}")
+    return registry.get(name)
+
+
+def _show_part(part: str) -> None:
+    from toolkit.data.scene import TabletopConfig
+    from toolkit.harness.experiment import PipelineChoice, RearrangeChoice
+
+    models = {"dataset": TabletopConfig, "pipeline": PipelineChoice, "rearrange": RearrangeChoice}
+    say(f"The part `{part}:` of an experiment; on the command line --set {part}.SETTING=VALUE", _settings(models[part]))
+
+
+def _settings(model: type[BaseModel]) -> Table:
+    """Every setting of a model with its default and meaning; of a slot, where to find what may fill it."""
+    from toolkit.slots import REARRANGE_SLOTS, SLOTS
+
+    slots = SLOTS | REARRANGE_SLOTS
+    table = listing("setting", "default", "meaning", typed=("setting",))
+    for key, info in model.model_fields.items():
+        default = "required" if info.is_required() else _in_yaml(info.get_default(call_default_factory=True))
+        meaning = info.description or (f"Fills this slot: see `toolkit list {slots[key]}`." if key in slots else "")
+        table.add_row(key, default, meaning)
+    return table
+
+
+def _in_yaml(value: Any) -> str:
+    """A default as it would stand in an experiment."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json")
+        value = value["name"] if value.keys() == {"name"} else value
+    if value is None:
+        return "–"
+    return value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _show_weights(plugin: type[Plugin]) -> None:
+    from toolkit.weights.resolve import find_card
+
+    for card in map(find_card, plugin.weights):
+        terms = f"{card.licence}, non-commercial" if card.non_commercial else card.licence
+        say(f"weights {card.name}: {terms}; {card.size_mb:.1f} MB; {card.citation}")
+
+
+def _implementations(registries: list[Registry[Any]]) -> Table:
+    table = listing("stage", "name", "from", "what it is", typed=("stage", "name"))
     for registry in registries:
         for entry in registry.entries():
             table.add_row(registry.stage, entry.name, entry.origin, _summary(registry, entry.name))
@@ -99,13 +159,11 @@ def _summary(registry: Registry[Any], name: str) -> Text:
 
 
 def _list_experiments() -> None:
-    from rich.table import Table
-
     from toolkit.settings import read_settings, shipped_settings
 
     paths = shipped_settings()
     (folder,) = {path.parent for path in paths.values()}
-    table = Table("name", "what it is", "file")
+    table = listing("name", "what it is", "file", typed=("name", "file"))
     for name, path in paths.items():
         table.add_row(name, read_settings(path, "experiment", "a description")["description"], path.name)
     say(table, f"Files: {folder}")

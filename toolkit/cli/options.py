@@ -25,9 +25,15 @@ StageArgument = Annotated[str, typer.Argument(autocompletion=stage_names, help="
 ImplementationArgument = Annotated[
     str, typer.Argument(autocompletion=implementation_names, help="An implementation, e.g. sift.")
 ]
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to.")]
-PluginOption = Annotated[list[Path], typer.Option("--plugin", help="A plugin file that is not installed.")]
-SettingsOption = Annotated[list[str], typer.Option("--set", help="path.to.key=value of the settings.")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to.")]
+PluginOption = Annotated[
+    list[Path], typer.Option("--plugin", metavar="FILE", help="A plugin file that is not installed.")
+]
+SettingsOption = Annotated[
+    list[str], typer.Option("--set", metavar="PATH=VALUE", help="path.to.key=value of the settings.")
+]
+
+_STAGES = "Stages, by name (toolkit list); one that is given twice is swept"
 
 
 def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
@@ -35,7 +41,6 @@ def with_experiment_options(command: Callable[..., None], slots: Iterable[str] =
 
     The command receives them as `choices`, which `read_experiment` understands.
     """
-    text = "The {}; given twice, it sweeps instead of the experiment's own sweep."
     added = [
         _option(
             slot,
@@ -44,18 +49,23 @@ def with_experiment_options(command: Callable[..., None], slots: Iterable[str] =
                 list[str],
                 typer.Option(
                     f"--{slot.replace('_', '-')}",
+                    metavar="NAME",
                     autocompletion=implementations_of(slot),
-                    help=text.format(slot.replace("_", " ")),
+                    rich_help_panel=_STAGES,
                 ),
             ],
         )
         for slot in slots
     ]
-    several = typer.Option("--set", help="path.to.key=v1,v2; several values sweep.")
+    several = typer.Option(
+        "--set", metavar="PATH=V1,V2", help="A setting (toolkit show dataset); several values sweep."
+    )
     added += [
         _option("set", [], Annotated[list[str], several]),
         _option("plugin", [], PluginOption),
-        _option("seed", None, Annotated[int | None, typer.Option("--seed", help="Seed of scenes and stages.")]),
+        _option(
+            "seed", None, Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of scenes and stages.")]
+        ),
     ]
     return _with_options(command, added, "choices")
 
@@ -70,18 +80,20 @@ def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
 def run_options(
     choices: dict[str, Any],
     *,
-    objects: Annotated[str | None, typer.Option(help="'procedural', or a folder of scanned objects.")] = None,
-    scenes: Annotated[int | None, typer.Option(min=1, help="Number of scenes.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores when left out.")] = None,
-    backend: Annotated[str, typer.Option(help="What starts the worker processes: loky, dask or ray.")] = "loky",
-    address: Annotated[
-        str | None, typer.Option(help="Address of a dask or ray cluster; this machine when left out.")
+    objects: Annotated[
+        str | None, typer.Option(metavar="DIR", help="A folder of scanned objects; or 'procedural'.")
     ] = None,
-    shard: Annotated[str, typer.Option(help="I/N: only the I-th of N parts of the scenes.")] = "1/1",
+    scenes: Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of scenes.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; else one per core.")] = None,
+    backend: Annotated[str, typer.Option(metavar="NAME", help="What starts workers: loky, dask or ray.")] = "loky",
+    address: Annotated[
+        str | None, typer.Option(metavar="URL", help="A dask or ray cluster; else this machine.")
+    ] = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Only the I-th of N parts of the scenes.")] = "1/1",
     out: OutOption = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest run of these settings.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start again in a folder that holds a run.")] = False,
-    cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Keep and reuse stage outputs.")] = True,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest such run.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start again where a run lies.")] = False,
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither keep nor reuse stage outputs.")] = False,
 ) -> RunOptions:
     """How to run; the options of the dataset go into `choices`, as if --set had named them.
 
@@ -103,7 +115,7 @@ def run_options(
         shard=Shard.parse(shard),
         resume=resume,
         fresh=fresh,
-        use_cache=cache,
+        use_cache=not no_cache,
         plugin_files=tuple(choices["plugin"]),
     )
 

@@ -98,9 +98,7 @@ def show_run(run: Path) -> None:
     from rich.console import Console
 
     from toolkit.harness.drive import kind_of
-    from toolkit.results.folder import PAGE, ROWS
-    from toolkit.results.rows import read_rows_as
+    from toolkit.results.folder import PAGE
 
-    kind = kind_of(run)
-    kind.print(read_rows_as(kind.row, run / ROWS), Console())
+    kind_of(run).print(run, Console())
     say(f"\nReport: {run / PAGE}")

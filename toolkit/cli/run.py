@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from toolkit.cli.completion import experiment_names
 from toolkit.cli.console import bars
 from toolkit.cli.options import (
     ExperimentArgument,
@@ -25,10 +26,14 @@ app = typer.Typer()
 @with_experiment_options
 @with_run_options
 def ablate(
-    experiment: ExperimentArgument = "quick",
-    attribute: Annotated[
-        bool, typer.Option("--attribute", help="Put the truth in the place of one stage at a time: what each costs.")
-    ] = False,
+    experiment: Annotated[
+        str | None,
+        typer.Argument(
+            autocompletion=experiment_names,
+            help="A shipped experiment's name, or a YAML file; else paper_quick, or quick with your settings.",
+        ),
+    ] = None,
+    attribute: Annotated[bool, typer.Option("--attribute", help="What each stage costs: truth in its place.")] = False,
     *,
     choices: dict[str, Any],
     run: dict[str, Any],
@@ -38,8 +43,9 @@ def ablate(
     from toolkit.harness.attribution import attribution
     from toolkit.harness.drive import drive
 
+    changes = attribute or any(choices[name] for name in (*SLOTS, "set"))
     options = run_options(choices, **run)
-    loaded = read_experiment(experiment, choices)
+    loaded = read_experiment(experiment or ("quick" if changes else "paper_quick"), choices)
     show_run(drive(Ablation(), attribution(loaded) if attribute else loaded, options, bars()))
 
 
@@ -48,9 +54,7 @@ def ablate(
 @with_run_options
 def rearrange(
     experiment: ExperimentArgument = "rearrange",
-    film: Annotated[
-        bool, typer.Option("--film", help="Film the first scene: film.mp4, and film.rrd where rerun is installed.")
-    ] = False,
+    film: Annotated[bool, typer.Option("--film", help="Film the first scene (film.mp4, film.rrd).")] = False,
     *,
     choices: dict[str, Any],
     run: dict[str, Any],

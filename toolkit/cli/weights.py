@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Annotated
 
 import typer
 
-from toolkit.cli.console import say
+from toolkit.cli.console import listing, say
+from toolkit.errors import ToolkitError
 
 app = typer.Typer()
 weights_app = typer.Typer(help="Checkpoints of the learned stages.", no_args_is_help=True)
@@ -15,17 +17,18 @@ app.add_typer(weights_app, name="weights")
 
 @weights_app.command("list")
 def weights_list() -> None:
-    """List every checkpoint: its licence, its size, and whether this machine has it."""
-    from rich.table import Table
+    """List every checkpoint: which stage may use it, its licence, its size, and whether this machine has it."""
     from rich.text import Text
 
     from toolkit.weights.cards import CARDS
     from toolkit.weights.resolve import find_weights
 
-    table = Table("name", "what it is", "licence", "MB", "here")
+    users = _users()
+    table = listing("name", "for", "what it is", "licence", "MB", "here", typed=("name", "MB", "here"))
     for name, card in sorted(CARDS.items()):
         licence = Text.assemble(card.licence, (" (non-commercial)" * card.non_commercial, "red"))
-        table.add_row(name, card.architecture, licence, f"{card.size_mb:.1f}", "yes" if find_weights(card) else "no")
+        here = "yes" if find_weights(card) else "no"
+        table.add_row(name, users.get(name, ""), card.architecture, licence, f"{card.size_mb:.0f}", here)
     say(table)
 
 
@@ -53,3 +56,16 @@ def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit
     else:
         say(str(found))
     say(card.citation)
+
+
+def _users() -> dict[str, str]:
+    """Checkpoint -> stage and name of what may use it, a line for each that can be loaded."""
+    from toolkit.stages import REGISTRIES
+
+    users: dict[str, str] = {}
+    for registry in REGISTRIES.values():
+        for name in registry.names():
+            with suppress(ToolkitError):
+                for card in registry.get(name).weights:
+                    users[card] = "\n".join(filter(None, (users.get(card), f"{registry.stage} {name}")))
+    return users

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from toolkit.registry import PluginConfig
 
@@ -52,6 +52,15 @@ class ConditionSettings(PluginConfig):
     noise: tuple[Effect, ...] | None = Field(
         None, description="The effects of the sensor that are on; all of the track's when left out."
     )
+
+    @field_validator("noise", mode="before")
+    @classmethod
+    def _effects(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            track = f"; '{value}' is a track: --set dataset.track={value}" if value in get_args(Track) else ""
+            raise ValueError(f"effects stand in brackets, such as [depth, pose]{track}")
+        return value
+
     sensor: Sensor | None = Field(None, description="Active stereo (d435) or structured light (kinect).")
     table: TableLook | None = Field(None, description="What the table looks like; `varied`: another in every scene.")
     table_shape: TableShape | None = Field(

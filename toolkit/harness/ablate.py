@@ -18,9 +18,12 @@ from toolkit.harness.kinds import Job, RunKind, SceneTask, Work
 from toolkit.harness.worker import get_runner, make_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.poses import write_case
-from toolkit.results.comparisons import print_results
+from toolkit.results.about import About
+from toolkit.results.comparisons import Comparison, compare_cells, print_tables, remainder
+from toolkit.results.folder import ROWS
 from toolkit.results.report import write_report
-from toolkit.results.rows import CellSummary, Row, best_cell, summarize, worst_rows
+from toolkit.results.rows import CellSummary, Row, best_cell, read_rows, summarize, worst_rows
+from toolkit.results.tables import motion_table
 from toolkit.types import Capture
 
 WORST_CASES = 8
@@ -92,9 +95,17 @@ class Ablation(RunKind[Row, CaptureTask]):
         """Errors, success and times of every cell."""
         return summarize(rows)
 
-    def print(self, rows: Sequence[Row], console: Console) -> None:
-        """Print the motions' table, and the cells against each other."""
-        print_results(rows, console)
+    def compare(self, rows: Sequence[Row], reference: str) -> list[Comparison]:
+        """As `RunKind.compare`, on the same goal objects."""
+        return compare_cells(rows, reference)
+
+    def print(self, run: Path, console: Console) -> None:
+        """Print the motions' table, the cells against the reference, and what an attribution leaves."""
+        rows = read_rows(run / ROWS)
+        summaries = summarize(rows)
+        print_tables(motion_table(summaries), compare_cells(rows, About.read(run).reference), console)
+        if left := remainder(summaries):
+            console.print(left, highlight=False)
 
     def illustrate(self, job: Job, rows: Sequence[Row]) -> None:
         """Pictures of the worst objects of the best cell: that is where the next improvement lies."""

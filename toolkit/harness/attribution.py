@@ -40,7 +40,15 @@ def attribution(experiment: Experiment) -> Experiment:
     everything = {path: value for changes in truths.values() for path, value in changes.items()}
     cells = {AS_IT_IS: {}, **truths, **({ALL_TRUE: everything} if len(truths) > 1 else {})}
     specs = tuple(CellSpec(name=name, set=changes) for name, changes in cells.items())
-    return experiment.model_copy(update={"name": f"{experiment.name}-attribution", "cells": specs})
+    return experiment.model_copy(
+        update={
+            "name": f"{experiment.name}-attribution",
+            "title": f"What each stage of '{experiment.title or experiment.name}' costs",
+            "description": "The truth in the place of one stage at a time.",
+            "cells": specs,
+            "reference": AS_IT_IS,
+        }
+    )
 
 
 def _has(pipeline: dict[str, Any], changes: dict[str, Any]) -> bool:

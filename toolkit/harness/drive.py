@@ -63,7 +63,7 @@ def drive(
         job = Job(run, cells, options.shard, done, cache, workers, progress)
         work = kind.work(job)
         with writable(f"'{run}'"):
-            write_meta(run, weights, work.datasets)
+            write_meta(run, experiment, weights, work.datasets)
             with progress.step(kind.doing, sum(len(task.cells) for task in work.tasks)) as advance:
                 for cells_done, rows in workers.map(partial(_run_scene, kind), work.tasks):
                     append_rows(run / ROWS, rows)
@@ -71,7 +71,7 @@ def drive(
     with writable(f"'{run}'"):
         rows = in_order(read_rows_as(kind.row, run / ROWS), [cell.name for cell in cells])
         write_rows(run / ROWS, rows)
-        write_summary(run / SUMMARY, kind.summarize(rows))
+        write_summary(run / SUMMARY, kind.summarize(rows), kind.compare(rows, experiment.reference))
         kind.illustrate(job, rows)
         with progress.step("Writing the report", 1) as advance:
             kind.write_page(run)

@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -55,20 +55,41 @@ class CellSpec(BaseModel):
     set: dict[str, Any] = Field(default_factory=dict[str, Any], description="Changed values by path.")
 
 
+class NamedValue(BaseModel):
+    """A value of a sweep, and what people call it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    value: Any
+
+
 class Experiment(BaseModel):
-    """A validated experiment file."""
+    """A validated experiment file.
+
+    Attributes:
+        name: of its runs' folder.
+        title: of its reports; the name when left out.
+        description: what is compared, in a sentence.
+        reference: the cell that all others are compared with, by its name or that of its entry in `cells`; the first
+            one of the same scenes when left out.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    title: str = ""
     description: str = ""
+    reference: str = ""
     seed: int = Field(0, ge=0)
     plugins: tuple[Path, ...] = ()
     dataset: dict[str, Any]
     pipeline: dict[str, Any]
     rearrange: dict[str, Any] | None = None
     cells: tuple[CellSpec, ...] = ()
-    sweep: dict[str, list[Any]] = Field(default_factory=dict[str, list[Any]])
+    sweep: dict[str, list[Annotated[NamedValue | Any, Field(union_mode="left_to_right")]]] = Field(
+        default_factory=dict[str, list[Any]], description="Values by path; {name: ..., value: ...} names one."
+    )
 
 
 @dataclass(frozen=True)
@@ -76,7 +97,7 @@ class Cell:
     """One complete setting of an experiment.
 
     Attributes:
-        name: what sets it apart, e.g. `matcher=sift,views=1`; the experiment's name when nothing is swept.
+        name: what sets it apart, e.g. `multi-view` or `matcher=sift, views=1`; the experiment's when nothing is swept.
         settings: the swept values by path.
         seed: the experiment's seed.
         dataset: the `dataset:` part, with the sweep applied and every default written out.
@@ -153,6 +174,7 @@ def load_experiment(
         data.setdefault("rearrange", {})
     if isinstance(data.get("rearrange"), dict):
         data["rearrange"] = {"planner": "optimal", "executor": "kinematic", **data["rearrange"]}
+    data |= _said(Experiment.model_validate(data), overrides or {})
     if any(len(values) > 1 for values in (overrides or {}).values()):
         _drop_sweep(data)
     for key, values in (overrides or {}).items():
@@ -185,17 +207,17 @@ def expand(experiment: Experiment) -> list[Cell]:
     cells: list[Cell] = []
     for base in bases:
         for values in itertools.product(*experiment.sweep.values()):
-            swept = dict(zip(paths, values, strict=True))
+            swept = {path: _value(value) for path, value in zip(paths, values, strict=True)}
             data = copy.deepcopy({"dataset": experiment.dataset, "pipeline": experiment.pipeline})
             if experiment.rearrange is not None:
                 data["rearrange"] = copy.deepcopy(experiment.rearrange)
             for path, value in {**base.set, **swept}.items():
                 assign(data, path, value)
             parts = [base.name] if base.name else []
-            parts += [f"{_short(path)}={_label(value)}" for path, value in swept.items()]
-            name = ",".join(parts) or experiment.name
+            parts += [_label(path, value) for path, value in zip(paths, values, strict=True)]
+            name = ", ".join(parts) or experiment.name
             pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
-            settings = {"cell": base.name, **swept} if base.name else swept
+            settings = {"cell": base.name, **base.set, **swept} if base.name else swept
             dataset = resolve_settings(data["dataset"], experiment.seed)
             rearrange = validated(RearrangeChoice, data["rearrange"], "rearrange") if "rearrange" in data else None
             cell = Cell(name, settings, experiment.seed, dataset, pipeline, rearrange)
@@ -205,6 +227,11 @@ def expand(experiment: Experiment) -> list[Cell]:
     doubled = next((name for name in names if names.count(name) > 1), None)
     if doubled:
         raise ToolkitError(f"two cells are called '{doubled}'; give every swept value once")
+    if experiment.reference and not any(
+        experiment.reference in (cell.name, cell.settings.get("cell")) for cell in cells
+    ):
+        near = suggest(experiment.reference, names)
+        raise ToolkitError(f"reference '{experiment.reference}' is none of the cells{near}")
     return cells
 
 
@@ -239,17 +266,33 @@ def create_stage(part: PipelineChoice | RearrangeChoice, slot: str) -> Any:
     return registry.create(choice.name, choice.settings)
 
 
+def _said(experiment: Experiment, overrides: Mapping[str, Sequence[Any]]) -> dict[str, str]:
+    """Title and description of an experiment that the command line changes: what it says itself may be true no more."""
+    swept = [f"{_short(path)}: {' or '.join(map(str, own))}" for path, own in overrides.items() if len(own) > 1]
+    changed = [f"{_short(path)} {own[0]}" for path, own in overrides.items() if len(own) == 1]
+    title = experiment.title or experiment.name
+    said = [f"With the settings of '{experiment.name}'." if swept else experiment.description]
+    said += [f"Changed: {', '.join(changed)}."] if changed else []
+    return {"title": "; ".join(swept) or title, "description": " ".join(filter(None, said))}
+
+
 def _drop_sweep(data: dict[str, Any]) -> None:
     """Set every swept path to its first value."""
     swept = data.pop("sweep", None)
     for path, values in (swept if isinstance(swept, dict) else {}).items():
         if isinstance(values, list) and values:
-            assign(data, path, values[0])
+            first = values[0]
+            named = isinstance(first, Mapping) and first.keys() == NamedValue.model_fields.keys()
+            assign(data, path, first["value"] if named else first)
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
-    """Apply a command-line choice: it replaces what the file set or swept at that path."""
+    """Apply a command-line choice: it replaces what the file set or swept at that path, in every cell."""
     data.setdefault("sweep", {}).pop(path, None)
+    for cell in data.get("cells", ()):
+        for former in list(cell.get("set", ())):
+            if keys_of(former)[: len(keys_of(path))] == keys_of(path):
+                del cell["set"][former]
     if len(values) == 1:
         assign(data, path, values[0])
     else:
@@ -260,7 +303,12 @@ def _short(path: str) -> str:
     return ".".join(keys_of(path)).removeprefix("pipeline.").removeprefix("dataset.").removeprefix("rearrange.")
 
 
-def _label(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "+".join(str(item) for item in value.values())
-    return str(value)
+def _value(value: Any) -> Any:
+    return value.value if isinstance(value, NamedValue) else value
+
+
+def _label(path: str, value: Any) -> str:
+    if isinstance(value, NamedValue):
+        return value.name
+    said = "+".join(map(str, value.values())) if isinstance(value, Mapping) else value
+    return f"{_short(path)}={said}"

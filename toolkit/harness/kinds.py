@@ -15,6 +15,7 @@ from toolkit.harness.experiment import Cell
 from toolkit.harness.runs import Shard
 from toolkit.parallel import Workers
 from toolkit.progress import Progress
+from toolkit.results.comparisons import Comparison
 from toolkit.results.rows import RowT
 
 
@@ -114,8 +115,12 @@ class RunKind(ABC, Generic[RowT, TaskT]):
     def summarize(self, rows: Sequence[RowT]) -> Sequence[object]:
         """One dataclass of figures per cell, in the order the cells first occur."""
 
+    def compare(self, rows: Sequence[RowT], reference: str) -> Sequence[Comparison]:
+        """The cells against the reference; a kind whose rows are not right or wrong compares nothing."""
+        return ()
+
     @abstractmethod
-    def print(self, rows: Sequence[RowT], console: Console) -> None:
+    def print(self, run: Path, console: Console) -> None:
         """Print the run's tables."""
 
     def illustrate(self, job: Job, rows: Sequence[RowT]) -> None:
@@ -123,7 +128,7 @@ class RunKind(ABC, Generic[RowT, TaskT]):
 
     @abstractmethod
     def write_page(self, run: Path) -> Path:
-        """Write the run's report.html and summary.md from its rows; returns the page.
+        """Write the run's report.html, and its tables and plots beside it, from its rows; returns the page.
 
         Raises:
             ToolkitError: the run has no rows.

@@ -13,6 +13,7 @@ from toolkit.files import write_json
 from toolkit.harness.drive import kind_of
 from toolkit.harness.kinds import RunKind
 from toolkit.harness.runs import Shard, in_order, open_run, read_resolved, require_run, writable
+from toolkit.results.about import About
 from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
 from toolkit.results.rows import read_rows_as, write_rows, write_summary
 
@@ -116,4 +117,4 @@ def _write_rows(out: Path, shards: Mapping[Shard, Path], cells: Sequence[str], k
         rows += own
     rows = in_order(rows, cells)
     write_rows(out / ROWS, rows)
-    write_summary(out / SUMMARY, kind.summarize(rows))
+    write_summary(out / SUMMARY, kind.summarize(rows), kind.compare(rows, About.read(out).reference))

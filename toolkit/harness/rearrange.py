@@ -24,9 +24,13 @@ from toolkit.pictures.film import Film, Filmable, record_poses
 from toolkit.pictures.recording import has_rerun
 from toolkit.rearrangement.episode import Episode, begun, rearrange
 from toolkit.registry import Plugin
+from toolkit.results.about import About
+from toolkit.results.comparisons import Comparison, compare_cells, print_tables
 from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
+from toolkit.results.folder import ROWS
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.results.report import write_completion_report
+from toolkit.results.rows import read_rows_as
 from toolkit.results.tables import completion_table
 from toolkit.slots import REARRANGE_SLOTS
 from toolkit.stages import Executor
@@ -102,9 +106,15 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
         """Completion, moves and times of every cell."""
         return summarize_completion(rows)
 
-    def print(self, rows: Sequence[MoveRow], console: Console) -> None:
-        """Print the table of completion."""
-        completion_table(summarize_completion(rows)).print(console)
+    def compare(self, rows: Sequence[MoveRow], reference: str) -> list[Comparison]:
+        """As `RunKind.compare`, on the same objects."""
+        return compare_cells(rows, reference)
+
+    def print(self, run: Path, console: Console) -> None:
+        """Print the table of completion, and the cells against the reference."""
+        rows = read_rows_as(MoveRow, run / ROWS)
+        table = completion_table(summarize_completion(rows))
+        print_tables(table, compare_cells(rows, About.read(run).reference), console)
 
     def write_page(self, run: Path) -> Path:
         """As `RunKind.write_page`."""

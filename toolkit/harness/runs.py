@@ -20,7 +20,7 @@ from toolkit.digests import digest, package_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json, write_text, writing
 from toolkit.harness.cache import library_versions
-from toolkit.harness.experiment import Cell
+from toolkit.harness.experiment import Cell, Experiment
 from toolkit.parallel import cores
 from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
 from toolkit.results.rows import ObjectRow, RowT, read_rows_as, write_rows
@@ -186,11 +186,14 @@ def require_run(folder: Path) -> None:
         raise ToolkitError(f"'{folder}' is not a run folder: it has no {ROWS}")
 
 
-def write_meta(run: Path, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]) -> None:
-    """Write meta.json: commit, versions, device, weights and how every dataset was made."""
+def write_meta(
+    run: Path, experiment: Experiment, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write meta.json: what the run is of, commit, versions, device, weights and how every dataset was made."""
     write_json(
         run / META,
         {
+            "experiment": {key: getattr(experiment, key) for key in ("title", "description", "reference")},
             "toolkit": __version__,
             "source": package_digest(),
             **_commit(),

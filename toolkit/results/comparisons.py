@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
-from toolkit.results.rows import CellSummary, Row, summarize
+from toolkit.results.figure_table import Column, Figure, FigureTable, Line
+from toolkit.results.rows import CellSummary, Judged
 from toolkit.results.stats import (
     PairedDifference,
     holm,
     mcnemar,
+    newcombe_interval,
     objects_for_mcnemar,
     paired_difference,
     resolvable_difference,
     scenes_to_resolve,
 )
-from toolkit.results.tables import motion_table
 
 AS_IT_IS = "as it is"
 """The cell that others are compared with in an attribution: the experiment without any truth put in."""
@@ -30,6 +28,7 @@ ALL_TRUE = "all of these true"
 """The cell of an attribution with every truth put in at once."""
 
 _ALPHA = 0.05
+_WIDE = 110
 _MANY_SCENES = 100_000
 """Nobody runs more scenes than this."""
 
@@ -40,9 +39,10 @@ class Comparison:
 
     Attributes:
         cell: its name.
-        against: the cell it is compared with: the best one, or AS_IT_IS where that is among them.
-        success: difference in success (5 deg, 2 cm, symmetry-aware), -1..1; below 0 where the cell is worse.
-        completion: difference in scenes of which every object is right.
+        against: the cell it is compared with.
+        success: difference in success (5 deg, 2 cm, symmetry-aware), -1..1; below 0 where the cell is worse. Its
+            interval is found by resampling scenes, and holds Newcombe's for independent objects.
+        completion: difference in scenes of which every object is right, with Newcombe's interval.
         objects: how many both cells have.
         discordant: share of them on which the cells disagree.
         p: McNemar's exact p-value of success, adjusted for all comparisons of the run (Holm).
@@ -102,69 +102,68 @@ class Comparison:
         return max(scenes_to_resolve(seen.mean, seen.deviation, a), by_objects, seen.scenes + 1)
 
 
-def compare_cells(rows: Sequence[Row]) -> list[Comparison]:
-    """Every cell against AS_IT_IS, or without that against the best one of its dataset, in the order of the rows.
+def compare_cells(rows: Sequence[Judged], reference: str = "") -> list[Comparison]:
+    """Every cell of a dataset against the reference, in the order of the rows; p-values are adjusted for all of them.
 
-    Where the reference is the best cell, which is known only afterwards, the p-values are adjusted for all pairs.
+    Args:
+        rows: of a whole run.
+        reference: a cell's name, or that of the `cells:` entry it is of; where a dataset has no such cell, its first.
     """
     outcomes: dict[str, dict[str, Outcomes]] = {}
+    named: set[str] = set()
     for row in rows:
         outcomes.setdefault(row.dataset, {}).setdefault(row.cell, {})[row.scene_id, row.object] = row.success_sym
-    tests: dict[tuple[str, ...], float] = {}
-    for data, cells in outcomes.items():
-        for a, b in combinations(cells, 2):
-            if AS_IT_IS not in cells or AS_IT_IS in (a, b):
-                tests[data, *sorted((a, b))] = mcnemar(*_shared(cells[a], cells[b])[:2])
-    adjusted = dict(zip(tests, holm(list(tests.values())), strict=True))
-    comparisons: list[Comparison] = []
-    for data, cells in outcomes.items():
-        best = max(cells, key=lambda cell: float(np.mean(list(cells[cell].values()))))
-        against = AS_IT_IS if AS_IT_IS in cells else best
+        if reference in (row.cell, row.settings.get("cell")):
+            named.add(row.cell)
+    asked: list[tuple[str, str, list[bool], list[bool], list[int]]] = []
+    for cells in outcomes.values():
+        against = next((cell for cell in cells if cell in named), next(iter(cells)))
         for cell, own in cells.items():
             mine, other, scenes = _shared(own, cells[against])
             if cell != against and scenes:
-                success = paired_difference(mine, other, scenes)
-                completion = paired_difference(*_by_scene(mine, other, scenes))
-                p = adjusted[data, *sorted((cell, against))]
-                discordant = float(np.mean(np.array(mine) != np.array(other)))
-                found = Comparison(cell, against, success, completion, len(mine), discordant, p, len(tests))
-                comparisons.append(found)
-    return comparisons
+                asked.append((cell, against, mine, other, scenes))
+    adjusted = holm([mcnemar(mine, other) for _, _, mine, other, _ in asked])
+    return [
+        Comparison(
+            cell,
+            against,
+            _over_objects(mine, other, scenes),
+            _over_scenes(mine, other, scenes),
+            len(mine),
+            float(np.mean(np.array(mine) != np.array(other))),
+            p,
+            len(asked),
+        )
+        for (cell, against, mine, other, scenes), p in zip(asked, adjusted, strict=True)
+    ]
 
 
-def print_comparisons(comparisons: Sequence[Comparison], console: Console) -> None:
-    """Print one line per comparison; nothing where there is none. A narrow console leaves out the scenes done."""
-    if not comparisons:
-        return
-    wide = console.width >= 110
-    attributes = comparisons[0].against == AS_IT_IS
-    title = (
-        "What each stage costs: the truth in its place" if attributes else "Against the best cell, on the same objects"
+def comparison_table(comparisons: Sequence[Comparison]) -> FigureTable:
+    """One line per comparison, with what it shows in words."""
+    against = dict.fromkeys(c.against for c in comparisons)
+    named = f"Against '{next(iter(against))}', on the same objects" if len(against) == 1 else "On the same objects"
+    title = "What each stage costs: the truth in its place" if AS_IT_IS in against else named
+    asked = f"{len(comparisons)} comparison{'s' if len(comparisons) > 1 else ''}"
+    lines = tuple(
+        Line((c.cell, c.against, points(c.success), points(c.completion), Figure(c.p, form=".2g"), c.verdict))
+        for c in comparisons
     )
-    title += "; points [95 % interval over scenes], p by McNemar and Holm"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    table.add_column("cell", overflow="fold")
-    for column in ("5 deg 2 cm", *(("scenes done",) if wide else ()), "p"):
-        table.add_column(column, no_wrap=True)
-    table.add_column("in words")
-    for c in comparisons:
-        done = (_show(c.completion),) if wide else ()
-        table.add_row(c.cell, _show(c.success), *done, f"{c.p:.2g}", c.verdict)
-    console.print(table)
+    columns = (
+        Column("cell"),
+        Column("against", _WIDE if len(against) == 1 else 0, kind="words"),
+        Column("5 deg 2 cm", name="within 5 deg and 2 cm, points"),
+        Column("scenes done", _WIDE, name="scenes done, points"),
+        Column("p"),
+        Column("in words", kind="words"),
+    )
+    return FigureTable(f"{title}; points [95 % interval], p by McNemar, Holm over {asked}", columns, lines)
 
 
-def _show(difference: PairedDifference) -> str:
-    low, high = difference.interval
-    return f"{points(difference.mean)} [{points(low)}, {points(high)}]"
-
-
-def print_results(rows: Sequence[Row], console: Console) -> None:
-    """Print a run's table, its comparisons, and what an attribution leaves."""
-    summaries = summarize(rows)
-    motion_table(summaries).print(console)
-    print_comparisons(compare_cells(rows), console)
-    if left := remainder(summaries):
-        console.print(left, highlight=False)
+def print_tables(figures: FigureTable, comparisons: Sequence[Comparison], console: Console) -> None:
+    """Print a run's figures, and its comparisons where there are any."""
+    figures.print(console)
+    if comparisons:
+        comparison_table(comparisons).print(console)
 
 
 def remainder(summaries: Sequence[CellSummary]) -> str:
@@ -180,9 +179,10 @@ def remainder(summaries: Sequence[CellSummary]) -> str:
     )
 
 
-def points(share: float) -> str:
+def points(difference: PairedDifference) -> Figure:
     """A difference of shares in points, signed."""
-    return f"{100 * share:+.1f}" if np.isfinite(share) else ("+∞" if share > 0 else "-∞")
+    low, high = difference.interval
+    return Figure(100 * difference.mean, (100 * low, 100 * high), "+.1f")
 
 
 Outcomes = dict[tuple[int, int], bool]
@@ -195,11 +195,20 @@ def _shared(a: Outcomes, b: Outcomes) -> tuple[list[bool], list[bool], list[int]
     return [a[key] for key in keys], [b[key] for key in keys], [scene for scene, _ in keys]
 
 
-def _by_scene(a: Sequence[bool], b: Sequence[bool], scenes: Sequence[int]) -> tuple[list[bool], list[bool], list[int]]:
-    """The same with one outcome per scene: every object is right."""
+def _over_objects(a: Sequence[bool], b: Sequence[bool], scenes: Sequence[int]) -> PairedDifference:
+    """The difference over objects. Few scenes that all say the same leave resampling nothing to vary."""
+    found = paired_difference(a, b, scenes)
+    (low, high), (least, most) = found.interval, newcombe_interval(a, b)
+    return replace(found, interval=(min(low, least), max(high, most)))
+
+
+def _over_scenes(a: Sequence[bool], b: Sequence[bool], scenes: Sequence[int]) -> PairedDifference:
+    """The difference in scenes of which every object is right."""
     names = sorted(set(scenes))
-    done = [[all(x for x, s in zip(cell, scenes, strict=True) if s == name) for name in names] for cell in (a, b)]
-    return done[0], done[1], names
+    own, other = (
+        [all(x for x, scene in zip(cell, scenes, strict=True) if scene == name) for name in names] for cell in (a, b)
+    )
+    return replace(paired_difference(own, other, names), interval=newcombe_interval(own, other))
 
 
 def _rounded(scenes: float) -> int:

@@ -8,4 +8,10 @@ SUMMARY = "summary.csv"
 
 PAGE = "report.html"
 TABLE = "summary.md"
-"""The page's table, as Markdown."""
+"""The page's main tables, as Markdown."""
+
+TABLES = "tables"
+"""Every table of the page, as CSV and LaTeX."""
+
+FIGURES = "figures"
+"""Every plot of the page, as SVG and PDF for print."""

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
-from toolkit.results.stats import Interval, bootstrap_interval, wilson_interval
+from toolkit.results.stats import Interval, PairedDifference, bootstrap_interval, wilson_interval
 from toolkit.types import Ambiguity, Float
 
 
@@ -44,7 +44,10 @@ class Judged(Protocol):
     """What reports need of any row: whether the object is right, and if not, how far off it is and why."""
 
     cell: str
+    settings: dict[str, Any]
+    dataset: str
     scene_id: int
+    object: int
     object_name: str
     symmetry: Literal["none", "discrete", "continuous"]
     success_sym: bool
@@ -255,15 +258,22 @@ def _p90(values: Float) -> float:
     return float(np.quantile(values, 0.9, method="inverted_cdf"))
 
 
-def write_summary(path: Path, summaries: Sequence[object]) -> None:
-    """Write summary.csv: one line per cell, every figure with its interval; summaries are dataclasses."""
+def write_summary(path: Path, summaries: Sequence[object], comparisons: Sequence[object] = ()) -> None:
+    """Write summary.csv: one line per cell, every figure with its interval, and how it compares with which other cell.
+
+    Both are dataclasses with a `cell`.
+    """
+    compared = {line["cell"]: line for line in map(_flat, comparisons)}
+    lines = [{**line, **_compared(compared.get(line["cell"], {}))} for line in map(_flat, summaries)]
     buffer = io.StringIO()
-    lines = [_flat(summary) for summary in summaries]
-    keys = list(dict.fromkeys(key for line in lines for key in line))
-    writer = csv.DictWriter(buffer, keys, lineterminator="\n")
+    writer = csv.DictWriter(buffer, list(dict.fromkeys(key for line in lines for key in line)), lineterminator="\n")
     writer.writeheader()
     writer.writerows(lines)
     write_text(path, buffer.getvalue())
+
+
+def _compared(line: dict[str, Any]) -> dict[str, Any]:
+    return {key if key == "against" else f"against_{key}": value for key, value in line.items() if key != "cell"}
 
 
 def _flat(summary: object) -> dict[str, Any]:
@@ -271,6 +281,8 @@ def _flat(summary: object) -> dict[str, Any]:
     for key, value in vars(summary).items():
         if isinstance(value, Estimate):
             flat |= {key: value.value, f"{key}_low": value.interval[0], f"{key}_high": value.interval[1]}
+        elif isinstance(value, PairedDifference):
+            flat |= {key: value.mean, f"{key}_low": value.interval[0], f"{key}_high": value.interval[1]}
         elif key == "time_ms":
             flat |= {f"time_ms_{stage}": ms for stage, ms in value.items()}
         elif key != "settings":

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
-from toolkit.results.paper_figures import paper_completion
-from toolkit.results.report.page import failures, rows_to_report, write_page
-from toolkit.results.tables import Column, FigureTable, Line, completion_table
+from toolkit.results.report.page import rows_to_report, write_page
+from toolkit.results.tables import completion_table, moves_table
 
 
 def write_completion_report(run: Path) -> Path:
     """Write run/report.html from the run's rows and settings; nothing in it is fetched from elsewhere.
-
-    Its table stands beside it as summary.md, and so do the reasons of failures.
 
     Raises:
         ToolkitError: the run has no rows.
@@ -22,22 +18,8 @@ def write_completion_report(run: Path) -> Path:
     rows = rows_to_report(run, MoveRow)
     summaries = summarize_completion(rows)
     best = max(summaries, key=lambda summary: summary.completion_sym.value)
-    return write_page(
-        run,
-        "completion_page.html.j2",
-        completion_table(summaries).markdown() + "\n" + _failure_table(rows).markdown(),
-        rows,
-        best.cell,
-        headline=_headline(best),
-        summaries=summaries,
-        paper={summary.cell: paper_completion(summary.settings) for summary in summaries},
-    )
-
-
-def _failure_table(rows: Sequence[MoveRow]) -> FigureTable:
-    columns = tuple(map(Column, ("cell", "stage", "reason", "objects")))
-    lines = tuple(Line(tuple(map(str, failure))) for failure in failures(rows))
-    return FigureTable("What kept objects from their goals", columns, lines)
+    tables = {"results": completion_table(summaries), "moves": moves_table(summaries)}
+    return write_page(run, "completion_page.html.j2", rows, best.cell, tables, headline=_headline(best))
 
 
 def _headline(best: CompletionSummary) -> str:

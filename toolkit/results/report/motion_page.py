@@ -9,12 +9,13 @@ from pathlib import Path
 
 import cv2
 
-from toolkit.results.comparisons import compare_cells, points, remainder
-from toolkit.results.paper_figures import paper_medians
-from toolkit.results.report.page import read_if_there, rows_to_report, write_page
+from toolkit.results.about import read_if_there
+from toolkit.results.comparisons import remainder
+from toolkit.results.figure_table import Column, Figure, FigureTable, Line
+from toolkit.results.report.page import rows_to_report, write_page
 from toolkit.results.report.plots import cell_colors, confidence_curves, error_curves, time_by_stage
 from toolkit.results.rows import CellSummary, Row, summarize
-from toolkit.results.tables import motion_table
+from toolkit.results.tables import motion_table, plain_motion_table
 
 _JPEG_QUALITY = 82
 
@@ -28,8 +29,6 @@ class _Case:
 def write_report(run: Path) -> Path:
     """Write run/report.html from the run's rows, settings and pictures; nothing in it is fetched from elsewhere.
 
-    Its table stands beside it as summary.md.
-
     Raises:
         ToolkitError: the run has no rows.
     """
@@ -37,25 +36,22 @@ def write_report(run: Path) -> Path:
     summaries = summarize(rows)
     best = max(summaries, key=lambda summary: summary.success_sym.value)
     colors = cell_colors([summary.cell for summary in summaries])
+    confidences = confidence_curves(rows, colors)
     return write_page(
         run,
         "motion_page.html.j2",
-        motion_table(summaries).markdown(),
         rows,
         best.cell,
+        {
+            "results": motion_table(summaries),
+            "plain": plain_motion_table(summaries),
+            "ambiguity": _ambiguity_table(rows),
+        },
+        [error_curves(rows, colors), time_by_stage(summaries), *([confidences] if confidences else [])],
         headline=_headline(summaries, best),
-        best=best,
-        summaries=summaries,
-        paper={summary.cell: paper_medians(summary.settings) for summary in summaries},
-        curves=error_curves(rows, colors),
-        confidences=confidence_curves(rows, colors),
-        ambiguous=_ambiguous(rows),
-        times=time_by_stage(summaries),
         one_sided=any(summary.absent for summary in summaries),
-        comparisons=compare_cells(rows),
         attribution=remainder(summaries),
         cases=_cases(run),
-        points=points,
     )
 
 
@@ -71,16 +67,19 @@ def _headline(summaries: Sequence[CellSummary], best: CellSummary) -> str:
     return f"{said}; {worst.cell}, the least, {worst.success_sym.value:.0%}."
 
 
-def _ambiguous(rows: Sequence[Row]) -> list[tuple[str, str, int, int, int]]:
-    """Cell, kind of ambiguity, objects, right ones, and those of which one of the equivalent motions is right."""
+def _ambiguity_table(rows: Sequence[Row]) -> FigureTable:
+    """Of the objects of each kind of ambiguity, how many are right, and of how many an equivalent motion is."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.ambiguity is not None:
             groups.setdefault((row.cell, row.ambiguity), []).append(row)
-    return [
-        (cell, kind, len(own), sum(r.success_sym for r in own), sum(r.success_equivalent for r in own))
-        for (cell, kind), own in groups.items()
-    ]
+    lines: list[Line] = []
+    for key, own in groups.items():
+        counts = (len(own), sum(row.success_sym for row in own), sum(row.success_equivalent for row in own))
+        lines.append(Line((*key, *(Figure(count, form="d") for count in counts))))
+    columns = ("objects", "right", "one of the set right")
+    named = (Column("cell"), Column("ambiguity", kind="words"), *map(Column, columns))
+    return FigureTable("What the goal image does not tell", named, tuple(lines))
 
 
 def _cases(run: Path) -> list[_Case]:

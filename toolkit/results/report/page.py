@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
-import yaml
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
-from toolkit.results.folder import META, PAGE, RESOLVED, ROWS, TABLE
-from toolkit.results.report.plots import cell_colors, success_by
-from toolkit.results.rows import Estimate, Judged, JudgedT, RowT, by_cell, read_rows_as
+from toolkit.results.about import About
+from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.figure_table import Column, Figure, FigureTable, Line
+from toolkit.results.folder import FIGURES, PAGE, ROWS, TABLE, TABLES
+from toolkit.results.report.plots import Plot, cell_colors, success_by
+from toolkit.results.rows import Judged, JudgedT, RowT, by_cell, read_rows_as
 
 _MOST_FAILURES = 24
 _MOST_OBJECTS = 10
+
+_IN_SUMMARY = ("results", "comparisons", "failures")
+"""The tables that stand in summary.md too, in this order."""
 
 
 def rows_to_report(run: Path, model: type[RowT]) -> list[RowT]:
@@ -36,45 +40,84 @@ def rows_to_report(run: Path, model: type[RowT]) -> list[RowT]:
     return rows
 
 
-def write_page(run: Path, template: str, table: str, rows: Sequence[JudgedT], cell: str, **own: Any) -> Path:
-    """Write run/report.html, self-contained, and its table beside it.
+def write_page(
+    run: Path,
+    template: str,
+    rows: Sequence[JudgedT],
+    best: str,
+    tables: Mapping[str, FigureTable],
+    plots: Sequence[Plot] = (),
+    **own: Any,
+) -> Path:
+    """Write run/report.html, self-contained; beside it every table as CSV and LaTeX and every plot as SVG and PDF.
 
     Args:
         run: the run's folder; its settings and meta.json stand at the end of the page.
         template: name of one that extends page.html.j2.
-        table: Markdown of summary.md.
         rows: of the whole run.
-        cell: the one whose hardest objects are shown.
+        best: the cell that is set off in tables, and whose hardest objects are shown.
+        tables: the page's own, by the names of their files; `results` for one.
+        plots: the page's own.
         own: what the template needs besides; `headline` for one.
     """
-    colors = cell_colors(list(by_cell(rows)))
+    about = About.read(run)
+    cells = by_cell(rows)
+    colors = cell_colors(list(cells))
     sizes = Counter((row.cell, row.scene_id) for row in rows)
-    settings = read_if_there(run / RESOLVED)
+    tables = {
+        **tables,
+        "comparisons": comparison_table(compare_cells(rows, about.reference)),
+        "failures": _failure_table(rows),
+        "hardest": _hardest_table(best, cells[best]),
+        "cells": _cell_table(about.own),
+    }
+    plots = [
+        *plots,
+        success_by("count", rows, colors, lambda row: sizes[row.cell, row.scene_id], "objects in the scene"),
+        success_by("symmetry", rows, colors, lambda row: row.symmetry, "symmetry of the object"),
+    ]
     page = _template(template, colors).render(
-        title=(yaml.safe_load(settings) or {}).get("experiment", run.name),
-        colors=colors,
-        by_count=success_by(rows, colors, lambda row: sizes[row.cell, row.scene_id], "objects in the scene"),
-        by_symmetry=success_by(rows, colors, lambda row: row.symmetry, "symmetry of the object"),
-        hardest=_hardest(by_cell(rows)[cell]),
-        failures=failures(rows),
-        settings=settings,
-        meta=json.loads(read_if_there(run / META) or "{}"),
-        **own,
+        about=about, best=best, tables=tables, plots={plot.name: Markup(plot.svg()) for plot in plots}, **own
     )
     write_text(run / PAGE, page)
-    write_text(run / TABLE, table)
+    write_text(run / TABLE, "\n".join(tables[name].markdown() for name in _IN_SUMMARY if tables[name].lines))
+    for folder in (TABLES, FIGURES):
+        (run / folder).mkdir(exist_ok=True)
+    for name, table in tables.items():
+        if table.lines:
+            write_text(run / TABLES / f"{name}.csv", table.csv())
+            write_text(run / TABLES / f"{name}.tex", table.latex())
+    for plot in plots:
+        plot.write(run / FIGURES)
     return run / PAGE
 
 
-def failures(rows: Sequence[Judged]) -> list[tuple[str, str, str, int]]:
-    """Cell, stage, reason (numbers left out, so that like ones are counted together) and count; most frequent first."""
+def _failure_table(rows: Sequence[Judged]) -> FigureTable:
+    """What goes wrong, most frequent first; numbers in reasons are left out, so that like ones are counted together."""
     counts = Counter((row.cell, row.stage or "pose", _general(row.reason)) for row in rows if not row.success_sym)
-    return [(*key, count) for key, count in counts.most_common(_MOST_FAILURES)]
+    columns = (Column("cell"), Column("stage", kind="words"), Column("reason", kind="words"), Column("objects"))
+    lines = tuple(Line((*key, Figure(count, form="d"))) for key, count in counts.most_common(_MOST_FAILURES))
+    return FigureTable("What kept objects from being right", columns, lines)
 
 
-def read_if_there(path: Path) -> str:
-    """A file's text, empty where there is no such file."""
-    return path.read_text() if path.exists() else ""
+def _hardest_table(cell: str, rows: Sequence[JudgedT]) -> FigureTable:
+    """The objects a cell gets wrong most often."""
+    by_name: dict[str, list[JudgedT]] = {}
+    for row in rows:
+        by_name.setdefault(row.object_name, []).append(row)
+    ranked = sorted(by_name.items(), key=lambda item: (np.mean([row.success_sym for row in item[1]]), item[0]))
+    lines = tuple(
+        Line((name, Figure(sum(row.success_sym for row in own), form="d"), Figure(len(own), form="d"), _rotation(own)))
+        for name, own in ranked[:_MOST_OBJECTS]
+        if not all(row.success_sym for row in own)
+    )
+    columns = tuple(map(Column, ("object", "right", "seen", "median rotation, deg")))
+    return FigureTable(f"The hardest objects of '{cell}'", columns, lines)
+
+
+def _cell_table(own: Mapping[str, str]) -> FigureTable:
+    columns = (Column("cell"), Column("what sets it apart", kind="words"))
+    return FigureTable("The cells", columns, tuple(Line((cell, words)) for cell, words in own.items()))
 
 
 def _template(name: str, colors: dict[str, str]) -> jinja2.Template:
@@ -82,46 +125,22 @@ def _template(name: str, colors: dict[str, str]) -> jinja2.Template:
         loader=jinja2.PackageLoader("toolkit.results.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
 
-    def dotted(cell: str) -> Markup:
-        return Markup('<span class="dot" style="background:{}"></span>{}').format(colors[cell], cell)
+    def cell(content: str | Figure) -> Markup:
+        if isinstance(content, Figure):
+            return Markup("{}<small>{}</small>" if content.bounds else "{}").format(content.text, content.bounds)
+        if content not in colors:
+            return escape(content)
+        return Markup('<span class="cell"><i style="background:{}"></i>{}</span>').format(colors[content], content)
 
-    environment.filters |= {"dotted": dotted, "figure": _figure, "number": _number, "share": _share}
+    environment.filters["cell"] = cell
+    environment.globals["colors"] = colors  # pyright: ignore[reportArgumentType]
     return environment.get_template(name)
-
-
-def _figure(estimate: Estimate | None) -> Markup | str:
-    if estimate is None:
-        return "–"
-    low, high = estimate.interval
-    return Markup(f"{_number(estimate.value)} <small>{_number(low)} – {_number(high)}</small>")
-
-
-def _share(estimate: Estimate) -> Markup:
-    low, high = estimate.interval
-    return Markup(f"{estimate.value:.1%} <small>{low:.0%} – {high:.0%}</small>")
-
-
-def _number(value: float, digits: int = 2) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else "∞"
 
 
 def _general(reason: str | None) -> str:
     return re.sub(r"\d+(\.\d+)?", "N", reason) if reason else "the pose is off by more than 5° or 2 cm"
 
 
-def _hardest(rows: Sequence[JudgedT]) -> list[tuple[str, int, int, str]]:
-    """The objects a cell gets wrong most often: name, right, seen, median rotation error."""
-    by_name: dict[str, list[JudgedT]] = {}
-    for row in rows:
-        by_name.setdefault(row.object_name, []).append(row)
-    ranked = sorted(by_name.items(), key=lambda item: (np.mean([row.success_sym for row in item[1]]), item[0]))
-    return [
-        (name, sum(row.success_sym for row in own), len(own), _median_rotation(own))
-        for name, own in ranked[:_MOST_OBJECTS]
-        if not all(row.success_sym for row in own)
-    ]
-
-
-def _median_rotation(rows: Sequence[Judged]) -> str:
+def _rotation(rows: Sequence[Judged]) -> str | Figure:
     values = [row.rotation_error_deg_sym for row in rows if row.rotation_error_deg_sym is not None]
-    return f"{np.median(values):.1f}°" if values else "no pose"
+    return Figure(float(np.median(values)), form=".1f") if values else "no pose"
