@@ -16,6 +16,7 @@ from toolkit.errors import ToolkitError, suggest
 from toolkit.perception.pipeline import PipelineSettings
 from toolkit.rearrangement.episode import EpisodeSettings
 from toolkit.registry import Registry, StageChoice, load_plugin_file, validated
+from toolkit.results.comparisons import is_called
 from toolkit.settings import assign, keys_of, read_settings, shipped_settings
 from toolkit.slots import REARRANGE_SLOTS, SLOTS
 from toolkit.stages import REGISTRIES, register_module
@@ -169,14 +170,17 @@ def load_experiment(
         path = shipped[name_or_path]
     data = read_settings(path, "experiment", "name, dataset and pipeline")
     what = f"experiment '{path}'"
-    validated(Experiment, data, what)  # what is wrong in the file is not blamed on an override
+    read = validated(Experiment, data, what)  # what is wrong in the file is not blamed on an override
     if rearranges:
         data.setdefault("rearrange", {})
     if isinstance(data.get("rearrange"), dict):
         data["rearrange"] = {"planner": "optimal", "executor": "kinematic", **data["rearrange"]}
-    data |= _said(Experiment.model_validate(data), overrides or {})
+    data |= _said(read, overrides or {})
     if any(len(values) > 1 for values in (overrides or {}).values()):
-        _drop_sweep(data)
+        data.pop("sweep", None)
+        for key, values in read.sweep.items():
+            if values:
+                assign(data, key, _value(values[0]))
     for key, values in (overrides or {}).items():
         _override(data, key, list(values))
     experiment = validated(Experiment, data, what)
@@ -227,9 +231,7 @@ def expand(experiment: Experiment) -> list[Cell]:
     doubled = next((name for name in names if names.count(name) > 1), None)
     if doubled:
         raise ToolkitError(f"two cells are called '{doubled}'; give every swept value once")
-    if experiment.reference and not any(
-        experiment.reference in (cell.name, cell.settings.get("cell")) for cell in cells
-    ):
+    if experiment.reference and not any(is_called(experiment.reference, c.name, c.settings) for c in cells):
         near = suggest(experiment.reference, names)
         raise ToolkitError(f"reference '{experiment.reference}' is none of the cells{near}")
     return cells
@@ -274,16 +276,6 @@ def _said(experiment: Experiment, overrides: Mapping[str, Sequence[Any]]) -> dic
     said = [f"With the settings of '{experiment.name}'." if swept else experiment.description]
     said += [f"Changed: {', '.join(changed)}."] if changed else []
     return {"title": "; ".join(swept) or title, "description": " ".join(filter(None, said))}
-
-
-def _drop_sweep(data: dict[str, Any]) -> None:
-    """Set every swept path to its first value."""
-    swept = data.pop("sweep", None)
-    for path, values in (swept if isinstance(swept, dict) else {}).items():
-        if isinstance(values, list) and values:
-            first = values[0]
-            named = isinstance(first, Mapping) and first.keys() == NamedValue.model_fields.keys()
-            assign(data, path, first["value"] if named else first)
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:

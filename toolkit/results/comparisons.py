@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -102,6 +103,11 @@ class Comparison:
         return max(scenes_to_resolve(seen.mean, seen.deviation, a), by_objects, seen.scenes + 1)
 
 
+def is_called(reference: str, cell: str, settings: Mapping[str, Any]) -> bool:
+    """Whether a reference is a cell's name, or that of the `cells:` entry that its settings are of."""
+    return reference in (cell, settings.get("cell"))
+
+
 def compare_cells(rows: Sequence[Judged], reference: str = "") -> list[Comparison]:
     """Every cell of a dataset against the reference, in the order of the rows; p-values are adjusted for all of them.
 
@@ -113,7 +119,7 @@ def compare_cells(rows: Sequence[Judged], reference: str = "") -> list[Compariso
     named: set[str] = set()
     for row in rows:
         outcomes.setdefault(row.dataset, {}).setdefault(row.cell, {})[row.scene_id, row.object] = row.success_sym
-        if reference in (row.cell, row.settings.get("cell")):
+        if is_called(reference, row.cell, row.settings):
             named.add(row.cell)
     asked: list[tuple[str, str, list[bool], list[bool], list[int]]] = []
     for cells in outcomes.values():

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from toolkit.geometry import invert, make_transform, transform_points
+from toolkit.perception.padding import pad_rows
 from toolkit.perception.pnp.jax_ransac import JaxRansac
 from toolkit.perception.pnp.solving.base import PnPConfig, RobustPnP
 from toolkit.perception.pnp.solving.damped import Pose
 from toolkit.perception.pnp.solving.joint import Evidence, covariance, polish, search_planar
-from toolkit.perception.pnp.solving.padding import pad_rows
 from toolkit.types import Correspondences, Float
 
 _SAMPLES = 2048

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import make_transform
+from toolkit.perception.padding import SMALLEST, pad_rows
 from toolkit.perception.pnp.solving.base import RobustPnP
 from toolkit.perception.pnp.solving.consensus import Problem, polish, search
-from toolkit.perception.pnp.solving.padding import SMALLEST, pad_rows
 from toolkit.types import Correspondences, Float
 
 _HYPOTHESES = 256

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
+from toolkit.perception.padding import pad_rows
 from toolkit.types import Float
 
 _GRAZING = 0.1
@@ -19,7 +20,7 @@ _BATCH = 384
 """Thirteen hypotheses, each moved in 27 ways, fill one batch."""
 
 _LEAST_PIXELS = 1 << 17
-"""Images are filled up to this many pixels, or to twice as many again and again: one program serves most of them."""
+"""Images are filled up to this many pixels, so that one program serves most of them."""
 
 
 class Sample(NamedTuple):
@@ -59,24 +60,14 @@ def score_motions(sample: Sample, turns: Float, places: Float, goal: Evidence, T
     yaw = np.pad(turns, (0, padding)).astype(np.float32).reshape(-1, _BATCH)
     place = np.pad(places, ((0, padding), (0, 0)), mode="edge").astype(np.float32).reshape(-1, _BATCH, 3)
     arrays = [jnp.asarray(array) for array in sample]
-    image = [_filled(array) for array in (goal.colours, goal.background, goal.depth)]
+    pixels = goal.colours.reshape(-1, 3), goal.background.ravel(), goal.depth.ravel()
+    image = [pad_rows(array.astype(np.float32), _LEAST_PIXELS) for array in pixels]
     camera = [jnp.asarray(array, jnp.float32) for array in (goal.K, T_camera_table)]
     size = jnp.asarray(goal.background.shape, jnp.int32)
     scores = [
         _score(*arrays, jnp.asarray(y), jnp.asarray(p), *image, size, *camera) for y, p in zip(yaw, place, strict=True)
     ]
     return np.concatenate([np.asarray(s) for s in scores])[:count]
-
-
-def _filled(image: Float) -> jax.Array:
-    """The (P, ...) pixels of an (H, W, ...) image, row after row, and zeros to one of few lengths."""
-    pixels = image.reshape(image.shape[0] * image.shape[1], *image.shape[2:])
-    length = _LEAST_PIXELS
-    while length < len(pixels):
-        length *= 2
-    filled = np.zeros((length, *pixels.shape[1:]), np.float32)
-    filled[: len(pixels)] = pixels
-    return jnp.asarray(filled)
 
 
 @jax.jit
