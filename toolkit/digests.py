@@ -85,6 +85,10 @@ def package_digest() -> str:
     return hasher.hexdigest()
 
 
+_STATEMENTS = (ast.stmt, ast.ExceptHandler, ast.match_case)
+"""What can hold an import; expressions, most of a file, cannot."""
+
+
 def _closure(module: str) -> set[Path]:
     roots = {"toolkit", module.partition(".")[0]}
     found: set[Path] = set()
@@ -94,21 +98,36 @@ def _closure(module: str) -> set[Path]:
         if path is None or path in found:
             continue
         found.add(path)
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            else:
-                continue
-            pending += [name for name in names if name.partition(".")[0] in roots]
+        pending += [name for name in _imported(path) if name.partition(".")[0] in roots]
     return found
 
 
 @functools.cache
+def _imported(path: Path) -> tuple[str, ...]:
+    """Names of what a file imports, wherever in it; what is imported from a module may be a module itself."""
+    names: list[str] = []
+    pending: list[ast.AST] = [ast.parse(path.read_bytes())]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        else:
+            pending += [child for child in ast.iter_child_nodes(node) if isinstance(child, _STATEMENTS)]
+    return tuple(names)
+
+
+@functools.cache
 def _module_path(module: str) -> Path | None:
+    """The file of a module, found without importing the packages it lies in; None where there is none."""
+    package, *inner = module.split(".")
     try:
-        spec = importlib.util.find_spec(module)
+        spec = importlib.util.find_spec(package)
     except (ImportError, ValueError):
         return None
-    return Path(spec.origin) if spec and spec.origin and spec.origin.endswith(".py") else None
+    if spec is None or not inner:
+        return Path(spec.origin) if spec and spec.origin and spec.origin.endswith(".py") else None
+    places = [Path(folder, *inner) for folder in spec.submodule_search_locations or ()]
+    files = (file for place in places for file in (place / "__init__.py", place.with_suffix(".py")))
+    return next((file for file in files if file.is_file()), None)

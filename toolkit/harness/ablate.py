@@ -21,7 +21,6 @@ from toolkit.pictures.poses import write_case
 from toolkit.results.about import About
 from toolkit.results.comparisons import Comparison, compare_cells, print_tables, remainder
 from toolkit.results.folder import ROWS
-from toolkit.results.report import write_report
 from toolkit.results.rows import CellSummary, Row, best_cell, read_rows, summarize, worst_rows
 from toolkit.results.tables import motion_table
 from toolkit.types import Capture
@@ -126,4 +125,6 @@ class Ablation(RunKind[Row, CaptureTask]):
 
     def write_page(self, run: Path) -> Path:
         """As `RunKind.write_page`."""
+        from toolkit.results.report import write_report  # here, since it loads what draws
+
         return write_report(run)

@@ -29,7 +29,6 @@ from toolkit.results.comparisons import Comparison, compare_cells, print_tables
 from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
 from toolkit.results.folder import ROWS
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
-from toolkit.results.report import write_completion_report
 from toolkit.results.rows import read_rows_as
 from toolkit.results.tables import completion_table
 from toolkit.slots import REARRANGE_SLOTS
@@ -118,6 +117,8 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
 
     def write_page(self, run: Path) -> Path:
         """As `RunKind.write_page`."""
+        from toolkit.results.report import write_completion_report  # here, since it loads what draws
+
         return write_completion_report(run)
 
 

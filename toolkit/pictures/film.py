@@ -11,8 +11,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-import trimesh
-from trimesh.visual.material import PBRMaterial
 
 from toolkit.data.objects import ObjectAsset
 from toolkit.data.tabletop import TabletopScene
@@ -152,8 +150,10 @@ def record_poses(executor: Filmable, scene: TabletopScene, path: Path) -> Genera
 
 def _small_glb(asset: ObjectAsset) -> bytes:
     """An object's mesh with its texture made small, as binary glTF."""
-    # Comes with rerun; trimesh packs textures with it.
+    # Pillow comes with rerun; trimesh packs textures with it.
+    import trimesh
     from PIL import Image as Pictures
+    from trimesh.visual.material import PBRMaterial
 
     mesh: Any = trimesh.load(asset.mesh, force="mesh", process=False)
     texture = Pictures.open(asset.texture).convert("RGB")

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts load when they are first used: a report's statistics take a third of a second
 from numpy.typing import NDArray
-from scipy.stats import binomtest, norm, t
 
 from toolkit.types import Float
 
@@ -18,7 +18,7 @@ def wilson_interval(successes: int, total: int, level: float = 0.95) -> Interval
     """Wilson's interval of a proportion, 0..1 (Wilson, JASA 1927); (0, 1) when nothing was tried."""
     if total == 0:
         return 0.0, 1.0
-    interval = binomtest(successes, total).proportion_ci(level, method="wilson")
+    interval = scipy.stats.binomtest(successes, total).proportion_ci(level, method="wilson")
     return float(interval.low), float(interval.high)
 
 
@@ -117,7 +117,7 @@ def paired_difference(
         return PairedDifference(mean, (-np.inf, np.inf), 1, np.nan)
     drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), resamples)
     means = (drawn @ sums) / (drawn @ counts)
-    tail = float(norm.cdf(np.sqrt(n / (n - 1)) * t.ppf((1 - level) / 2, n - 1)))
+    tail = float(scipy.stats.norm.cdf(np.sqrt(n / (n - 1)) * scipy.stats.t.ppf((1 - level) / 2, n - 1)))
     low, high = np.quantile(means, [tail, 1 - tail])
     error = np.sqrt(n / (n - 1) * np.sum((sums - mean * counts) ** 2)) / len(differences)
     return PairedDifference(mean, (float(low), float(high)), n, float(error * np.sqrt(n)))
@@ -137,13 +137,13 @@ def scenes_to_resolve(difference: float, deviation: float, alpha: float = 0.05, 
     """
     if difference == 0:
         return np.inf
-    quantiles = norm.ppf(1 - alpha / 2) + norm.ppf(power)
+    quantiles = scipy.stats.norm.ppf(1 - alpha / 2) + scipy.stats.norm.ppf(power)
     return max(2.0, float(np.ceil((quantiles * deviation / difference) ** 2)))
 
 
 def resolvable_difference(scenes: int, deviation: float, alpha: float = 0.05, power: float = 0.8) -> float:
     """The smallest difference that so many scenes find, arguments as in `scenes_to_resolve`."""
-    return float((norm.ppf(1 - alpha / 2) + norm.ppf(power)) * deviation / np.sqrt(scenes))
+    return float((scipy.stats.norm.ppf(1 - alpha / 2) + scipy.stats.norm.ppf(power)) * deviation / np.sqrt(scenes))
 
 
 def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
@@ -155,7 +155,7 @@ def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     pairs = list(zip(a, b, strict=True))
     only_a = sum(x and not y for x, y in pairs)
     only_b = sum(y and not x for x, y in pairs)
-    return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return float(scipy.stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
 def objects_for_mcnemar(difference: float, discordant: float, alpha: float = 0.05, power: float = 0.8) -> float:
@@ -172,7 +172,7 @@ def objects_for_mcnemar(difference: float, discordant: float, alpha: float = 0.0
     """
     if difference == 0:
         return np.inf
-    spread = norm.ppf(1 - alpha / 2) * np.sqrt(discordant) + norm.ppf(power) * np.sqrt(discordant - difference**2)
+    spread = scipy.stats.norm.ppf(1 - alpha / 2) * np.sqrt(discordant) + scipy.stats.norm.ppf(power) * np.sqrt(discordant - difference**2)
     return float(np.ceil((spread / difference) ** 2))
 
 

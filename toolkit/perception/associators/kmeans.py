@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from sklearn.cluster import KMeans
 
 from toolkit.perception.regions import followed_instances, numbered_by_occurrence
 from toolkit.perception.stages import Associator
@@ -77,6 +76,8 @@ def _center(region: Region, how: str) -> Float:
 
 def _cluster(centers: Float, frame_of: NDArray[np.int64], k: int) -> NDArray[np.int64]:
     """K-means started from the regions of the fullest frame, topped up with the farthest centres."""
+    from sklearn.cluster import KMeans  # here, since it takes half a second to load
+
     fullest = Counter(frame_of.tolist()).most_common(1)[0][0]
     seeds = [centers[i] for i in np.flatnonzero(frame_of == fullest)]
     while len(seeds) < k:

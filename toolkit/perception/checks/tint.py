@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.stats import wasserstein_distance
+import scipy
 
 from toolkit.perception.checks.likeness import from_above, surely_bare
 from toolkit.perception.tabletop.plane import on_plane
@@ -37,11 +37,15 @@ def check_tint(goal: Frame, table: Table) -> list[Finding]:
         return []
     things_now, things_then = _of_things(goal, table, float(np.median(now)), float(np.median(then)))
     enough = min(len(things_now), len(things_then)) >= _FEW
-    if enough and wasserstein_distance(things_now, things_then) < wasserstein_distance(things_now, -things_then):
+    if enough and _distance(things_now, things_then) < _distance(things_now, -things_then):
         return []
     sentence = "red and blue look swapped in the goal image, or in the current ones: the table has the opposite tint"
     remedy = "store all of them in one order (cv2.imwrite takes BGR)"
     return [Finding("doubtful", f"{sentence}; {remedy}", _DOUBT, shown="table")]
+
+
+def _distance(now: Float, then: Float) -> float:
+    return float(scipy.stats.wasserstein_distance(now, then))
 
 
 def _of_the_table(goal: Frame, table: Table) -> tuple[Float, Float]:
