@@ -10,7 +10,7 @@ import pytest
 from toolkit.geometry import make_transform
 from toolkit.perception.database import Database
 from toolkit.perception.explainers.searching.evidence import Evidence, with_known
-from toolkit.perception.explainers.searching.scores import Sample, score_motions
+from toolkit.perception.explainers.searching.scores import Sample, Scorer
 from toolkit.perception.explainers.searching.trust import trust
 from toolkit.perception.explanation import ExplainTask, Explanation
 from toolkit.perception.fusion import Models, united
@@ -126,7 +126,7 @@ def test_what_is_known_to_stand_in_front_hides_the_rest() -> None:
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 1.0]))
 
     def gain(evidence: Evidence) -> float:
-        return float(score_motions(sample, np.zeros(1), np.zeros((1, 3)), evidence, above)[0])
+        return float(Scorer(evidence, above).score(sample, np.zeros(1), np.zeros((1, 3)))[0])
 
     assert gain(goal) == pytest.approx(4.0)
     assert gain(with_known(goal, image, np.full((9, 9), 1.1))) == pytest.approx(4.0)

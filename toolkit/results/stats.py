@@ -172,7 +172,9 @@ def objects_for_mcnemar(difference: float, discordant: float, alpha: float = 0.0
     """
     if difference == 0:
         return np.inf
-    spread = scipy.stats.norm.ppf(1 - alpha / 2) * np.sqrt(discordant) + scipy.stats.norm.ppf(power) * np.sqrt(discordant - difference**2)
+    spread = scipy.stats.norm.ppf(1 - alpha / 2) * np.sqrt(discordant) + scipy.stats.norm.ppf(power) * np.sqrt(
+        discordant - difference**2
+    )
     return float(np.ceil((spread / difference) ** 2))
 
 

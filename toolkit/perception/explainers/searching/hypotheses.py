@@ -11,7 +11,7 @@ import numpy as np
 from toolkit.geometry import invert, make_transform, project, rotation_z, transform_points
 from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
 from toolkit.perception.explainers.searching.renderings import Surface
-from toolkit.perception.explainers.searching.scores import Sample, score_motions
+from toolkit.perception.explainers.searching.scores import Sample, Scorer
 from toolkit.perception.fusion import FusedModel
 from toolkit.perception.tabletop.table import Table
 from toolkit.types import Camera, Float
@@ -89,7 +89,7 @@ class Searcher:
             yaws = int(np.clip(np.pi * length / (_STEP * width), self.yaws, _MOST_YAWS))
             turns = np.arange(yaws) * 2 * np.pi / yaws
             yaw, place = np.repeat(turns, len(places)), np.tile(places, (yaws, 1))
-            scores = score_motions(self._sample(model, surface, _POINTS), yaw, place, image, self.T_camera_table)
+            scores = Scorer(image, self.T_camera_table).score(self._sample(model, surface, _POINTS), yaw, place)
             by_yaw = scores.reshape(yaws, len(places))
             found += [
                 Hypothesis(float(turns[by_yaw[:, i].argmax()]), places[i, :2] - center[:2])
@@ -162,7 +162,7 @@ class Searcher:
 
     def _polished(self, sample: Sample, center: Float, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Each moved step by step to where its score is greatest, all of them at once."""
-        count = len(hypotheses)
+        scorer, count = Scorer(self.fine, self.T_camera_table), len(hypotheses)
         turns, shifts = np.array([h.turn for h in hypotheses]), np.array([h.shift for h in hypotheses])
         steps = np.stack(np.meshgrid(*[(0, -1, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         for metres, radians in _LEVELS:
@@ -170,8 +170,8 @@ class Searcher:
                 yaw = turns[:, None] + steps[:, 0] * radians
                 shift = shifts[:, None] + steps[:, 1:] * metres
                 place = np.concatenate([center[:2] + shift, np.full((*yaw.shape, 1), center[2])], axis=2)
-                flat = score_motions(sample, yaw.ravel(), place.reshape(-1, 3), self.fine, self.T_camera_table)
-                best = flat.reshape(yaw.shape).argmax(axis=1)
+                scores = scorer.score(sample, yaw.ravel(), place.reshape(-1, 3)).reshape(yaw.shape)
+                best = scores.argmax(axis=1)
                 turns, shifts = yaw[np.arange(count), best], shift[np.arange(count), best]
                 if not best.any():
                     break

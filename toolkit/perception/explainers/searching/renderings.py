@@ -75,10 +75,13 @@ def render(surface: Surface, T_goal_current: Float, camera: Camera, goal: Eviden
     # Of two points of one surface that reach a pixel the one that is centred on it shows its colour.
     order_depth = (depth[:, None] + 1e-4 * np.abs(steps).sum(axis=1))[inside]
     source = np.broadcast_to(np.arange(len(points))[:, None], inside.shape)[inside]
-    order = np.lexsort((order_depth, index))
-    index, source = index[order], source[order]
-    first = np.flatnonzero(np.r_[True, index[1:] != index[:-1]][: len(index)])
-    index, source = index[first], source[first]
+    nearest = np.full(height * width, np.inf)
+    np.minimum.at(nearest, index, order_depth)
+    front = np.flatnonzero(order_depth == nearest[index])[::-1]
+    shown = np.zeros(height * width, np.int64)
+    shown[index[front]] = source[front]  # of equal ones, the first is written last
+    index = np.flatnonzero(np.isfinite(nearest))
+    source = shown[index]
     gap = goal.colours.reshape(-1, 3)[index] - surface.colours[source]
     cost = np.minimum((gap * gap).sum(axis=1), MOST_COST)
     front = -(normals * points).sum(axis=1) > _GRAZING * np.linalg.norm(points, axis=1)

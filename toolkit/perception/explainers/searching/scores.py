@@ -39,35 +39,40 @@ class Sample(NamedTuple):
     weights: Float
 
 
-def score_motions(sample: Sample, turns: Float, places: Float, goal: Evidence, T_camera_table: Float) -> Float:
-    """Score yaws and places of a model's centre.
+class Scorer:
+    """Scores motions of models by one goal image.
 
     A point counts by how much better the model explains its pixel than what is known to be there; what faces away, is
     hidden or lies outside the image counts nothing.
 
     Args:
-        sample: the model.
-        turns: (B,) yaw, radians.
-        places: (B, 3) of its centre in the table's frame, metres.
         goal: the image.
         T_camera_table: (4, 4).
-
-    Returns:
-        (B,) mean gain in cost over all points, higher is better.
     """
-    count = len(turns)
-    padding = -count % _BATCH
-    yaw = np.pad(turns, (0, padding)).astype(np.float32).reshape(-1, _BATCH)
-    place = np.pad(places, ((0, padding), (0, 0)), mode="edge").astype(np.float32).reshape(-1, _BATCH, 3)
-    arrays = [jnp.asarray(array) for array in sample]
-    pixels = goal.colours.reshape(-1, 3), goal.background.ravel(), goal.depth.ravel()
-    image = [pad_rows(array.astype(np.float32), _LEAST_PIXELS) for array in pixels]
-    camera = [jnp.asarray(array, jnp.float32) for array in (goal.K, T_camera_table)]
-    size = jnp.asarray(goal.background.shape, jnp.int32)
-    scores = [
-        _score(*arrays, jnp.asarray(y), jnp.asarray(p), *image, size, *camera) for y, p in zip(yaw, place, strict=True)
-    ]
-    return np.concatenate([np.asarray(s) for s in scores])[:count]
+
+    def __init__(self, goal: Evidence, T_camera_table: Float) -> None:
+        pixels = goal.colours.reshape(-1, 3), goal.background.ravel(), goal.depth.ravel()
+        self._goal = (
+            *(pad_rows(array.astype(np.float32), _LEAST_PIXELS) for array in pixels),
+            np.array(goal.background.shape, np.int32),
+            goal.K.astype(np.float32),
+            T_camera_table.astype(np.float32),
+        )
+
+    def score(self, sample: Sample, turns: Float, places: Float) -> Float:
+        """(B,) mean gain in cost over all points, higher is better.
+
+        Args:
+            sample: the model.
+            turns: (B,) yaw, radians.
+            places: (B, 3) of its centre in the table's frame, metres.
+        """
+        count = len(turns)
+        padding = -count % _BATCH
+        yaw = np.pad(turns, (0, padding)).astype(np.float32).reshape(-1, _BATCH)
+        place = np.pad(places, ((0, padding), (0, 0)), mode="edge").astype(np.float32).reshape(-1, _BATCH, 3)
+        scores = [_score(*sample, y, p, *self._goal) for y, p in zip(yaw, place, strict=True)]
+        return np.concatenate([np.asarray(s) for s in scores])[:count]
 
 
 @jax.jit

@@ -28,16 +28,11 @@ def normalized(rgb: Image | Float, mask: Mask, sigma: float) -> Float:
     """
     weight = mask.astype(np.float32)
     image = opponent(rgb) * weight[..., None]
-    blurred = _ratio(image, weight, sigma)
     wide = _WINDOW * max(sigma, 0.7)
-    mean = _ratio(blurred * weight[..., None], weight, wide)
+    # Normalised convolution (Knutsson and Westin, CVPR 1993): what is blurred, over how much of it was there.
+    share, wide_share = (np.maximum(cv2.GaussianBlur(weight, (0, 0), s), 1e-3)[..., None] for s in (sigma, wide))
+    blurred = cv2.GaussianBlur(image, (0, 0), sigma) / share
+    mean = cv2.GaussianBlur(blurred * weight[..., None], (0, 0), wide) / wide_share
     centered = (blurred - mean) * weight[..., None]
-    variance = _ratio(centered * centered, weight, wide)
+    variance = cv2.GaussianBlur(centered * centered, (0, 0), wide) / wide_share
     return centered / np.sqrt(variance + _NOISE**2)
-
-
-def _ratio(image: Float, weight: Float, sigma: float) -> Float:
-    """Normalised convolution (Knutsson and Westin, CVPR 1993)."""
-    total = cv2.GaussianBlur(image, (0, 0), sigma)
-    share = cv2.GaussianBlur(weight, (0, 0), sigma)
-    return total / np.maximum(share, 1e-3)[..., None]
