@@ -41,6 +41,15 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.fixture
+def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of this process draw no page and no pictures: most of what a small run computes."""
+    from toolkit.harness.ablate import Ablation
+
+    monkeypatch.setattr(Ablation, "illustrate", lambda self, job, rows: None)
+    monkeypatch.setattr(Ablation, "write_page", lambda self, run: run)
+
+
 @pytest.fixture(scope="session")
 def dataset(cache: Path) -> Path:
     """Two scenes of three procedural objects, four views; skips where PyBullet cannot be had."""

@@ -26,22 +26,43 @@ sys.meta_path.insert(0, Blocker())
 """
 """Stands in sitecustomize.py, so that workers and probes start without PyBullet too."""
 
+SEVERAL = """
+import contextlib, io, json, sys
+from toolkit.cli.commands import main
+
+answers = []
+for arguments in json.loads(sys.argv[1]):
+    sys.argv, said, code = ["toolkit", *arguments], io.StringIO(), 0
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+    answers.append([code, said.getvalue()])
+print(json.dumps(answers))
+"""
+
 SENTENCE = "simulating scenes needs PyBullet, which has wheels for CPython 3.11 on Linux (x86-64) only"
 
 
-@pytest.fixture
-def run(tmp_path: Path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("machine")
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path):
     """Runs Python in an empty folder, on what is then a machine without PyBullet."""
-    (tmp_path / "site").mkdir()
-    (tmp_path / "site" / "sitecustomize.py").write_text(BLOCK)
-    (tmp_path / "work").mkdir()
-    paths = [str(tmp_path / "site"), str(Path(toolkit.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    (folder / "site").mkdir()
+    (folder / "site" / "sitecustomize.py").write_text(BLOCK)
+    (folder / "work").mkdir()
+    paths = [str(folder / "site"), str(Path(toolkit.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
 
     def run(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-P", "-c", code, *map(str, arguments)],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths)), "COLUMNS": "200", "NO_COLOR": "1"},
-            cwd=tmp_path / "work",
+            cwd=folder / "work",
             capture_output=True,
             text=True,
             check=False,
@@ -50,7 +71,7 @@ def run(tmp_path: Path):
     return run
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def command(run):
     """Runs one command there; gives its exit code, and all it said."""
 
@@ -59,6 +80,18 @@ def command(run):
         return done.returncode, done.stdout + done.stderr
 
     return command
+
+
+@pytest.fixture(scope="module")
+def commands(run):
+    """Runs several commands there in one process, which loads all that is heavy once; their exit codes and words."""
+
+    def commands(*each: tuple[str, ...]) -> list[tuple[int, str]]:
+        done = run(SEVERAL, json.dumps(each))
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return commands
 
 
 def test_it_is_blocked(run):
@@ -100,9 +133,8 @@ def test_an_ablation_of_captures_that_exist_works(command, dataset, tmp_path):
     assert code == 0, said
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_what_needs_no_simulator_works(commands):
+    answers = commands(
         ("list",),
         ("show", "matcher", "sift"),
         ("show", "executor", "arm"),
@@ -110,13 +142,10 @@ def test_an_ablation_of_captures_that_exist_works(command, dataset, tmp_path):
         ("check", "planner", "optimal"),
         ("weights", "list"),
         ("plugin", "new", "matcher", "mine"),
-    ],
-    ids=" ".join,
-)
-def test_what_needs_no_simulator_works(command, arguments):
-    code, said = command(*arguments)
-    assert code == 0, said
-    assert "cannot be used" not in said
+    )
+    for code, said in answers:
+        assert code == 0, said
+        assert "cannot be used" not in said
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="the extra `view` is not installed")
@@ -125,24 +154,21 @@ def test_viewing_a_capture_works(command, dataset):
     assert code == 0, said
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_what_simulates_says_so_before_it_does_anything(commands, folder):
+    before = set((folder / "work").iterdir())
+    answers = commands(
         ("dataset", "build", "captures"),
         ("ablate",),
         ("rearrange",),
         ("rearrange", "arm", "--set", "rearrange.executor.robot=panda"),
         ("check", "executor", "kinematic"),
         ("train", "loftr"),
-    ],
-    ids=" ".join,
-)
-def test_what_simulates_says_so_before_it_does_anything(command, arguments, tmp_path):
-    code, said = command(*arguments)
-    assert code == 2
-    assert said.splitlines()[-1].startswith(f"error: {SENTENCE}")
-    assert "Traceback" not in said
-    assert not list((tmp_path / "work").iterdir())
+    )
+    for code, said in answers:
+        assert code == 2, said
+        assert said.splitlines()[-1].startswith(f"error: {SENTENCE}")
+        assert "Traceback" not in said
+    assert set((folder / "work").iterdir()) == before
 
 
 def test_the_doctor_names_it(command):

@@ -107,6 +107,7 @@ def _no_network(source, target, sha256, size_mb):
     raise OSError("no route to host")
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_killed_runs_resume_to_the_same_rows(experiment, tmp_path):
     """SIGKILL when a random number of bytes has been written, several times over; then an undisturbed resume."""
     reference = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "reference"))
@@ -131,6 +132,7 @@ def _has_bytes(path: Path, target: int) -> bool:
     return path.exists() and path.stat().st_size > target
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_rows_cut_anywhere_resume_to_the_same_rows(experiment, tmp_path):
     """Every place a write can be torn at, without waiting for a process."""
     run = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "run"))
@@ -157,6 +159,7 @@ def test_ctrl_c_keeps_the_finished_rows(experiment, tmp_path, workers):
     assert len(read_rows(run / "rows.jsonl")) > 0
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_a_run_folder_is_never_overwritten_by_accident(experiment, tmp_path):
     loaded = load_experiment(str(experiment))
     run = drive(Ablation(), loaded, RunOptions(out=tmp_path / "run"))
@@ -212,6 +215,7 @@ def test_a_plugin_file_adds_a_matcher(experiment, tmp_path):
     assert {row.settings["pipeline.matcher"] for row in read_rows(tmp_path / "run" / "rows.jsonl")} == {"orb", "sift"}
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_worker_count_changes_no_row(experiment, tmp_path):
     runs = [
         drive(

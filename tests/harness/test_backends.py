@@ -123,6 +123,7 @@ def lines(run: Path) -> list[str]:
     return re.sub(r'"time_ms":\{[^}]*\}|"cached":(true|false)', "", text).splitlines()
 
 
+@pytest.mark.usefixtures("no_pages")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_killed_worker_changes_nothing(backend, folder, reference, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
@@ -239,6 +240,7 @@ def wait_for(ready, seconds=60):
         time.sleep(0.05)
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_workers_share_the_cache(folder, reference, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TOOLKIT_CACHE", os.path.relpath(os.environ["TOOLKIT_CACHE"]))
