@@ -20,17 +20,15 @@ from toolkit.plugin_kit.conformance.raycast import NOW, camera, shoot
 from toolkit.plugin_kit.conformance.scene import current_frames, dark_frame, goal_frame, true_motion
 from toolkit.stages import ASSOCIATORS, PNP, REFINERS, SEGMENTERS
 
-_SAME, _SETTLED = 1e-6, 1e-3
-"""Metres and radians. Between tilted worlds, the frames' poses differ in their last bits only, and no stage draws by
-chance. The upright world is kept as it is, a ten-millionth off what is measured, and the refiner stops after a fixed
-number of steps in float32: that is what it settles to."""
+_SAME = 1e-6
+"""Metres and radians: between worlds, the frames' poses differ in their last bits only, and no stage draws by chance."""
 
 
 @st.composite
 def worlds(draw):
-    """(4, 4) into any rigid world that is tilted by two degrees or more, its origin as far away as a room is wide."""
+    """(4, 4) into any rigid world, upright ones and such that lean a little too, its origin as far as a room is wide."""
     first, second = (draw(st.floats(-180, 180)) for _ in range(2))
-    R = Rotation.from_euler("zxz", [first, draw(st.floats(2, 180)), second], degrees=True).as_matrix()
+    R = Rotation.from_euler("zxz", [first, draw(st.floats(0, 180)), second], degrees=True).as_matrix()
     return make_transform(R, np.array([draw(st.floats(-5, 5)) for _ in range(3)]))
 
 
@@ -58,11 +56,6 @@ def upright():
     return motions_in(np.eye(4))
 
 
-@lru_cache
-def on_its_side():
-    return motions_in(make_transform(Rotation.from_euler("xz", [90, 30], degrees=True).as_matrix(), np.ones(3)))
-
-
 def test_the_upright_world_has_right_answers():
     for number, estimate in enumerate(upright(), start=1):
         np.testing.assert_allclose(estimate.T_goal_current, true_motion(number), atol=0.01)
@@ -71,13 +64,11 @@ def test_the_upright_world_has_right_answers():
 @settings(deadline=None, max_examples=5, phases=[Phase.explicit, Phase.generate])
 @given(worlds())
 def test_any_world_gives_the_motions_of_the_upright_one(world):
-    for estimate, same, want in zip(motions_in(world), on_its_side(), upright(), strict=True):
-        np.testing.assert_allclose(estimate.T_goal_current, same.T_goal_current, atol=_SAME)
-        np.testing.assert_allclose(estimate.equivalents, same.equivalents, atol=_SAME)
-        np.testing.assert_allclose(estimate.covariance, same.covariance, rtol=1e-4, atol=1e-10)
-        np.testing.assert_allclose(estimate.confidence, same.confidence, atol=_SAME)
-        np.testing.assert_allclose(estimate.T_goal_current, want.T_goal_current, atol=_SETTLED)
-        np.testing.assert_allclose(estimate.covariance, want.covariance, rtol=0.05, atol=1e-7)
+    for estimate, want in zip(motions_in(world), upright(), strict=True):
+        np.testing.assert_allclose(estimate.T_goal_current, want.T_goal_current, atol=_SAME)
+        np.testing.assert_allclose(estimate.equivalents, want.equivalents, atol=_SAME)
+        np.testing.assert_allclose(estimate.covariance, want.covariance, rtol=1e-4, atol=1e-10)
+        np.testing.assert_allclose(estimate.confidence, want.confidence, atol=_SAME)
         assert (estimate.ambiguity, estimate.instance) == (want.ambiguity, want.instance)
 
 
@@ -87,25 +78,6 @@ def test_the_table_is_level_in_its_own_frame_and_that_is_one_frame(world):
     T = measure_level([frame.moved(world) for frame in current_frames()])
     # The world of the ray-cast scene is the table's own: its first camera looks along y, at the origin.
     np.testing.assert_allclose(invert(world) @ T, np.eye(4), atol=2e-6)
-
-
-@pytest.mark.parametrize("tilt_deg", [0.0, 0.1, 2.0, 5.0, 90.0, 180.0])
-def test_a_level_world_is_kept_to_the_bit_and_a_tilted_one_is_measured(tilt_deg):
-    world = make_transform(Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix(), np.array([0.3, -0.2, 0.5]))
-    T = measure_level([frame.moved(world) for frame in current_frames()])
-    assert (T is None) == (tilt_deg < 1.5)
-
-
-@pytest.mark.parametrize("far", [np.array([0.4, -0.3, 0.7]), np.array([30.0, 2.0, -1.0])])
-def test_a_level_world_far_away_is_brought_near(far):
-    world = make_transform(Rotation.from_euler("z", 20, degrees=True).as_matrix(), far)
-    T = measure_level([frame.moved(world) for frame in current_frames()])
-    assert (T is None) == (np.linalg.norm(far) < 2)
-
-
-def test_noise_below_its_own_error_tilts_nothing():
-    frames = [shoot(i, camera(-90 + 90 * i), NOW, noise=0.004) for i in range(4)]
-    assert measure_level(frames) is None
 
 
 def test_without_a_table_the_world_is_taken_as_it_is():

@@ -2,6 +2,7 @@
 
 Stages take the table for level: objects turn about z and slide along x and y. No world has to be so, and most arms',
 trackers' and cameras' are not. So the pipeline works in the table's own frame, and motions are taken back at the end.
+This frame is near, too: points are kept as float32, good for a tenth of a micrometre within two metres of the origin.
 """
 
 from __future__ import annotations
@@ -15,13 +16,6 @@ from toolkit.geometry import make_transform, orthonormalize
 from toolkit.perception.tabletop.table import Table, find_table
 from toolkit.types import Float, Frame
 
-_LEVEL_DEG, _DEVIATIONS = 1.5, 3.0
-"""A world is level if the measured tilt is below this, as the bowed depth of sensors makes it, or below its error: a
-Kinect saw a level table at 1.3 degrees."""
-
-_NEAR_M = 2.0
-"""Points are kept as float32, good for a tenth of a micrometre this near to the origin."""
-
 _LEAST_SLOPE = 0.2
 
 
@@ -31,14 +25,13 @@ def measure_level(frames: Sequence[Frame]) -> Float | None:
     Returns:
         (4, 4) T_world_table: z up from the table, y the way the first camera looks, the origin where that meets the
         table. It depends on nothing but the frames, so that captures that differ only in their world are the same in
-        it. None where the world will do as it is: the table is level in it, to within what was measured, and near; or
-        no table is found.
+        it. None where no table is found.
     """
     try:
         table = find_table(frames)
     except ToolkitError:
         return None
-    normal, height, error = _plane(table)
+    normal, height = _plane(table)
     eye, right, ahead = (frames[0].camera.T_world_camera[:3, i] for i in (3, 0, 2))
     # `right` serves where the camera looks straight down; it never points along the normal then.
     x = np.cross(ahead, normal)
@@ -47,21 +40,16 @@ def measure_level(frames: Sequence[Frame]) -> Float | None:
     above = float(eye @ normal) - height
     met = eye + ahead * above / max(-float(ahead @ normal), _LEAST_SLOPE)
     origin = met - (float(met @ normal) - height) * normal
-    tilt = np.arctan2(np.linalg.norm(normal[:2]), normal[2])
-    if tilt <= max(np.radians(_LEVEL_DEG), _DEVIATIONS * error) and np.linalg.norm(origin) < _NEAR_M:
-        return None
     return orthonormalize(make_transform(np.stack([x, np.cross(normal, x), normal], axis=1), origin))
 
 
-def _plane(table: Table) -> tuple[Float, float, float]:
-    """The plane as the frames have it on average: its normal (3,), its level along that, and the normal's error, rad.
+def _plane(table: Table) -> tuple[Float, float]:
+    """The plane as the frames have it on average: its normal (3,), and its level along that.
 
     Every frame's plane is fitted to the bare table alone; the one of all frames has feet of objects in it.
     """
     seen = table.seen()
-    normals = np.array([frame.camera.T_world_camera[:3, :3] @ plane.normal for frame, plane in seen])
-    normal = normals.mean(axis=0)
+    normal = np.mean([frame.camera.T_world_camera[:3, :3] @ plane.normal for frame, plane in seen], axis=0)
     normal /= np.linalg.norm(normal)
     heights = [frame.camera.T_world_camera[:3, 3] @ normal - plane.camera_height for frame, plane in seen]
-    spread = float(np.sqrt(((normals - normal) ** 2).sum(axis=1).mean()))
-    return normal, float(np.median(heights)), spread / len(seen) ** 0.5
+    return normal, float(np.median(heights))
