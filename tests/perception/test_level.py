@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -21,12 +20,12 @@ from toolkit.plugin_kit.conformance.scene import current_frames, dark_frame, goa
 from toolkit.stages import ASSOCIATORS, PNP, REFINERS, SEGMENTERS
 
 _SAME = 1e-6
-"""Metres and radians: between worlds, the frames' poses differ in their last bits only, and no stage draws by chance."""
+"""Metres and radians. Between worlds, poses of frames differ in their last bits only, and no stage draws by chance."""
 
 
 @st.composite
 def worlds(draw):
-    """(4, 4) into any rigid world, upright ones and such that lean a little too, its origin as far as a room is wide."""
+    """(4, 4) into any rigid world, upright or leaning a little too; its origin is as far away as a room is wide."""
     first, second = (draw(st.floats(-180, 180)) for _ in range(2))
     R = Rotation.from_euler("zxz", [first, draw(st.floats(0, 180)), second], degrees=True).as_matrix()
     return make_transform(R, np.array([draw(st.floats(-5, 5)) for _ in range(3)]))

@@ -440,7 +440,7 @@ def test_lookalikes_are_told_apart_or_shared_out(cache, tmp_path, kind):
 
 def test_objects_that_were_tipped_over_lie_on_the_table(cache, tmp_path):
     pytest.importorskip("pybullet")
-    config = TabletopConfig(scenes=1, seed=0, min_objects=3, max_objects=3, poses="stable", renderer="tiny")
+    config = TabletopConfig(scenes=1, seed=4, min_objects=3, max_objects=3, poses="stable", renderer="tiny")
     capture = load_capture(build_dataset(config, tmp_path / "tipped", cache) / "000000")
     assert sum(rotation_angle(_about_horizontal(t.T_goal_current)) > 0.5 for t in capture.truth.values()) >= 2
     pipeline = make_pipeline("render_compare", {"prior": "resting"})
@@ -449,7 +449,7 @@ def test_objects_that_were_tipped_over_lie_on_the_table(cache, tmp_path):
     for estimate in estimates:
         moved = transform_points(estimate.T_goal_current, models.get(estimate.instance).points)
         assert -0.004 < moved[:, 2].min() < 0.008
-    assert any(row.success_sym for row in score(capture, estimates))
+    assert sum(row.success_sym for row in score(capture, estimates)) >= 2
 
 
 def _about_horizontal(T):

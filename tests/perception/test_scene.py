@@ -148,8 +148,11 @@ def test_the_refiner_has_the_last_word():
     refiner = Telling(answer)
     _, estimates = run(refiner=refiner)
     for number, (estimate, task) in enumerate(zip(estimates, refiner.tasks, strict=True)):
-        assert (estimate.T_goal_current == TURN).all() and estimate.confidence == 0.7 and estimate.ambiguity == "none"
-        assert (estimate.covariance == np.eye(6)).all() and (estimate.equivalents == TURN).all()
+        # The refiner works in the table's frame, which is this scene's own to within what is measured.
+        np.testing.assert_allclose(estimate.T_goal_current, TURN, atol=1e-5)
+        np.testing.assert_allclose(estimate.equivalents, TURN[None], atol=1e-5)
+        np.testing.assert_allclose(estimate.covariance, np.eye(6), atol=1e-5)
+        assert estimate.confidence == 0.7 and estimate.ambiguity == "none"
         assert task.segment is estimate.segment and task.instance == estimate.instance == number
         assert len(task.others) == len(estimates) - 1 and all(other is not task.segment for other in task.others)
         assert len(task.starts) == 1 and estimate.failure is None
@@ -173,7 +176,8 @@ def test_the_refiner_may_find_what_matches_do_not():
 def test_registered_cameras_are_the_ones_that_count():
     plain, (before, *_) = run()
     moved, (after, *_) = run(registration=Moved())
-    assert (moved.frames[0].camera.T_world_camera == TURN @ plain.frames[0].camera.T_world_camera).all()
+    shifted = TURN @ plain.frames[0].camera.T_world_camera
+    np.testing.assert_allclose(moved.frames[0].camera.T_world_camera, shifted, atol=1e-12)
     np.testing.assert_allclose(after.T_goal_current, TURN @ before.T_goal_current @ np.linalg.inv(TURN), atol=1e-6)
 
 
