@@ -209,6 +209,7 @@ REGISTRATIONS: Registry[Registration] = Registry(
     "registration",
     "toolkit.registrations",
     {
+        "gicp": "toolkit.perception.registration.gicp:Gicp",
         "none": "toolkit.perception.registration.none:Trusted",
         "table": "toolkit.perception.registration.table:TableRegistration",
     },
