@@ -294,6 +294,7 @@ REFINERS: Registry[Refiner] = Registry(
     "toolkit.refiners",
     {
         "none": "toolkit.perception.refiners.none:Unrefined",
+        "onepose": "toolkit.perception.refiners.onepose:OnePose",
         "photometric": "toolkit.perception.refiners.photometric:Photometric",
         "render_compare": "toolkit.perception.refiners.render_compare:RenderCompare",
     },
