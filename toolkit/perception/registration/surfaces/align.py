@@ -84,7 +84,8 @@ def find_surface(frame: Frame, voxel: float) -> Surface | None:
     y, x = (part * _STEP_PX for part in np.nonzero(frame.depth[::_STEP_PX, ::_STEP_PX]))
     if len(x) < _FEWEST:
         return None
-    points = lift(frame.camera.K, np.eye(4), np.stack([x, y], axis=1), frame.depth[y, x])
+    pixels = np.stack([x, y], axis=1).astype(np.float64)
+    points = lift(frame.camera.K, np.eye(4), pixels, frame.depth[y, x])
     return Surface(*import_small_gicp().preprocess_points(points, downsampling_resolution=voxel))
 
 
@@ -126,7 +127,8 @@ def reconcile(stated: Sequence[Float], links: Sequence[Link], sigma: Float) -> l
     Returns:
         N (4, 4) T_world_camera.
     """
-    poses, prior = list(stated), np.diag(1 / sigma**2)
+    poses: list[Float] = list(stated)
+    prior = np.diag(1 / sigma**2)
     for _ in range(_ITERATIONS):
         H, g = np.zeros((len(poses), 6, len(poses), 6)), np.zeros((len(poses), 6))
         for n, pose in enumerate(poses):
