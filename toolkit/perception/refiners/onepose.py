@@ -39,8 +39,8 @@ class OnePose(Plugin[OnePoseConfig], Refiner):
     """2D-3D matching against the fused model, as OnePose does (Sun et al., CVPR 2022; He et al., NeurIPS 2022).
 
     RootSIFT features of all views are lifted to the surface and averaged per point, once for each object; the goal's
-    features are matched with these landmarks directly, and PnP solves the result. OnePose's learned matching network,
-    whose weights no package carries, is mutual nearest neighbours with a ratio test here. It finds its motion without
+    features are matched with these landmarks directly, and PnP solves the result. In place of OnePose's learned
+    matching network there are mutual nearest neighbours with a ratio test. It finds its motion without
     the pipeline's starts. Its confidence says how exactly the inliers hold the motion, not whether they are the right
     ones.
     """
