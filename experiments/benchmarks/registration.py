@@ -1,4 +1,4 @@
-"""How far camera poses that are a little off are brought together again by `table`, and in what time; prints Markdown.
+"""How far camera poses that are a little off are brought together by each registration, in what time; prints Markdown.
 
 The stated poses of a dataset without noise get the d435 track's pose errors.
 

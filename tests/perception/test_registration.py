@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, look_at, make_transform, project, transform_points
+from toolkit.perception.registration.surfaces.align import Link, reconcile
 from toolkit.perception.registration.tracking.adjust import adjust
 from toolkit.perception.registration.tracking.tracks import Tracks
 from toolkit.plugin_kit.conformance import raycast
@@ -53,6 +55,15 @@ def disagreement(frames: Sequence[Frame], goal: Frame) -> float:
     return 1e3 * float(np.linalg.norm(errors, axis=2).mean())
 
 
+def spread(frames: Sequence[Frame]) -> float:
+    """Millimetres by which frames place a point away from their own mean, on average."""
+    placed = [
+        transform_points(f.camera.T_world_camera @ invert(camera(-90 + 45 * i).T_world_camera), PLACES)
+        for i, f in enumerate(frames)
+    ]
+    return 1e3 * float(np.linalg.norm(placed - np.mean(placed, axis=0), axis=2).mean())
+
+
 @pytest.mark.parametrize("name", REGISTRATIONS.names())
 def test_registration_changes_nothing_but_poses_and_repeats(name):
     current, goal = scene(0)
@@ -82,6 +93,53 @@ def test_a_goal_can_be_located_among_frames_registered_elsewhere():
     frames = REGISTRATIONS.create("table").register(current)
     located = REGISTRATIONS.create("table").locate(goal, [replace(frame) for frame in frames])
     assert disagreement(frames, located) < disagreement(current, goal) / 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_surfaces_bring_the_frames_together_where_the_table_has_no_texture(seed, monkeypatch):
+    monkeypatch.setattr(raycast, "GRAIN", 0.0)
+    pytest.importorskip("small_gicp")
+    current, _ = scene(seed)
+    assert spread(REGISTRATIONS.create("gicp").register(current)) < spread(current) / 2
+
+
+def test_a_frame_that_shows_no_surface_stays_where_it_is():
+    pytest.importorskip("small_gicp")
+    current, goal = scene(0)
+    blind = replace(current[3], depth=np.zeros_like(current[3].depth))
+    stage = REGISTRATIONS.create("gicp")
+    frames = stage.register([*current[:3], blind])
+    assert np.allclose(frames[3].camera.T_world_camera, blind.camera.T_world_camera, atol=1e-12)
+    assert not np.allclose(frames[0].camera.T_world_camera, current[0].camera.T_world_camera, atol=1e-4)
+    with pytest.raises(ToolkitError, match="frame 50 has no depth"):
+        stage.register([*current[:3], goal])
+
+
+def test_without_small_gicp_one_sentence_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(ToolkitError, match=r"pip install 'rearrange-toolkit\[icp\]'"):
+        REGISTRATIONS.create("gicp").check_ready()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_reconciled_poses_agree_on_exact_links(seed):
+    """A common motion apart, which no link shows; what the links leave open stays as stated."""
+    rng = np.random.default_rng(seed)
+    true = [
+        make_transform(Rotation.from_rotvec(rng.normal(0, 1, 3)).as_matrix(), rng.normal(0, 1, 3)) for _ in range(4)
+    ]
+    errors = [
+        make_transform(Rotation.from_rotvec(rng.normal(0, 0.004, 3)).as_matrix(), rng.normal(0, 0.004, 3)) for _ in true
+    ]
+    stated = [pose @ error for pose, error in zip(true, errors, strict=True)]
+    information = 1e12 * np.eye(6)
+    links = [Link(i, j, invert(true[i]) @ true[j], information) for i, j in [(0, 1), (1, 2), (0, 2)]]
+    found = reconcile(stated, links, LOOSE)
+    assert np.allclose(found[3], stated[3], atol=1e-12)
+    for one in links:
+        between = invert(found[one.first]) @ found[one.second]
+        assert np.allclose(between, one.T_first_second, atol=1e-6)
 
 
 def test_a_table_without_texture_spoils_no_pose(monkeypatch):

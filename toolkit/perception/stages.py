@@ -209,6 +209,7 @@ REGISTRATIONS: Registry[Registration] = Registry(
     "registration",
     "toolkit.registrations",
     {
+        "gicp": "toolkit.perception.registration.gicp:Gicp",
         "none": "toolkit.perception.registration.none:Trusted",
         "table": "toolkit.perception.registration.table:TableRegistration",
     },
@@ -293,6 +294,7 @@ REFINERS: Registry[Refiner] = Registry(
     "toolkit.refiners",
     {
         "none": "toolkit.perception.refiners.none:Unrefined",
+        "onepose": "toolkit.perception.refiners.onepose:OnePose",
         "photometric": "toolkit.perception.refiners.photometric:Photometric",
         "render_compare": "toolkit.perception.refiners.render_compare:RenderCompare",
     },

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from pydantic import Field
 
+from toolkit.perception.rootsift import SiftFeatures, root_sift
 from toolkit.perception.stages import Matcher
 from toolkit.registry import Plugin, PluginConfig
-from toolkit.types import Crop, Float, Matches
+from toolkit.types import Crop, Matches
 
 
 class SiftConfig(PluginConfig):
@@ -33,14 +33,6 @@ class SiftConfig(PluginConfig):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class SiftFeatures:
-    """(N, 2) float64 keypoints in crop pixels and (N, 128) float32 RootSIFT rows of unit length."""
-
-    xy: Float
-    descriptors: Float
-
-
 class SiftMatcher(Plugin[SiftConfig], Matcher):
     """SIFT (Lowe, IJCV 2004) with RootSIFT (Arandjelovic and Zisserman, CVPR 2012), mutual and ratio tests."""
 
@@ -60,20 +52,6 @@ class SiftMatcher(Plugin[SiftConfig], Matcher):
     def match(self, query: SiftFeatures, references: Sequence[SiftFeatures]) -> list[Matches]:
         """Match one crop's keypoints to each of the references'."""
         return [mutual_ratio(query, reference, self.config.ratio) for reference in references]
-
-
-def root_sift(sift: cv2.SIFT, crop: Crop, border_px: int) -> SiftFeatures:
-    """RootSIFT features of one crop, away from the silhouette."""
-    gray = cv2.cvtColor(crop.image, cv2.COLOR_RGB2GRAY)
-    mask = crop.mask.astype(np.uint8)
-    if border_px:
-        kernel = np.ones((2 * border_px + 1, 2 * border_px + 1), np.uint8)
-        mask = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    keypoints, descriptors = sift.detectAndCompute(gray, mask)
-    if not len(keypoints):
-        return SiftFeatures(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
-    rooted = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
-    return SiftFeatures(np.array([k.pt for k in keypoints], np.float64), rooted.astype(np.float32))
 
 
 def mutual_ratio(query: SiftFeatures, reference: SiftFeatures, ratio: float) -> Matches:

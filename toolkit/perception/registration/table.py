@@ -6,30 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
-import numpy as np
-from pydantic import Field
-
+from toolkit.perception.registration.shared.stated import StatedConfig
 from toolkit.perception.registration.tracking.adjust import adjust
 from toolkit.perception.registration.tracking.tracks import Tabletop, find_tabletop, follow
 from toolkit.perception.stages import Registration
-from toolkit.registry import Plugin, PluginConfig
-from toolkit.types import Float, Frame
+from toolkit.registry import Plugin
+from toolkit.types import Frame
 
 
-class TableConfig(PluginConfig):
-    """Settings of the `table` registration: how far stated poses are off."""
-
-    rotation_deg: float = Field(
-        0.2, gt=0, description="Expected error of a camera's orientation, in degrees about each axis."
-    )
-    translation_mm: float = Field(
-        2.0, gt=0, description="Expected error of a camera's place, in millimetres along each axis."
-    )
-
-    @property
-    def sigma(self) -> Float:
-        """(6,) of turn, radians, and shift, metres."""
-        return np.repeat([np.radians(self.rotation_deg), self.translation_mm / 1e3], 3)
+class TableConfig(StatedConfig):
+    """Settings of the `table` registration."""
 
 
 class TableRegistration(Plugin[TableConfig], Registration):

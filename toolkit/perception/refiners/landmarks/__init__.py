@@ -1,0 +1,1 @@
+"""Points of a fused model with descriptors, found again in the goal image."""

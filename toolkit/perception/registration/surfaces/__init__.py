@@ -1,0 +1,1 @@
+"""The surfaces that depth shows, brought together from frame to frame."""
