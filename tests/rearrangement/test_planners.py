@@ -14,7 +14,7 @@ from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.rearrangement.feedback import feedback_vertex_set, is_acyclic
 from toolkit.rearrangement.footprints import Footprint, gaps, planar_motion
 from toolkit.rearrangement.moves import Finished, Item, Layout
-from toolkit.rearrangement.planners.optimal import plan
+from toolkit.rearrangement.planners.ordering.fewest import plan
 from toolkit.rearrangement.planners.ordering.order import EXACT_UP_TO, shortest_order, travelled
 from toolkit.rearrangement.planners.puzzles.rollout import rollout
 from toolkit.rearrangement.planners.puzzles.suite import dense, suite
