@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from toolkit.rearrangement.planners.arrangements.growth import solved
-from toolkit.rearrangement.planners.arrangements.table import Step, Table
 from toolkit.rearrangement.planners.arrangements.lazy import running_buffers
+from toolkit.rearrangement.planners.arrangements.table import Step, Table
 from toolkit.rearrangement.planners.ordering.following import Following, FollowingConfig
 from toolkit.rearrangement.stages import Planner
 from toolkit.registry import Plugin

@@ -69,9 +69,7 @@ class _Stay:
     spot: int = GOAL
 
 
-def _placed(
-    table: Table, arrangement: Arrangement, actions: Sequence[_Action], rng: np.random.Generator
-) -> list[Step]:
+def _placed(table: Table, arrangement: Arrangement, actions: Sequence[_Action], rng: np.random.Generator) -> list[Step]:
     """Steps for actions, up to the first for which no place is left."""
     done: list[tuple[_Action, _Stay | None]] = []
     aside: dict[int, _Stay] = {}

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit, bits
+from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit
 
 
 class _Node:

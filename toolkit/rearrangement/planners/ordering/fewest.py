@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from toolkit.rearrangement.dependencies import Dependencies, dependencies, lower_bound, screen
 from toolkit.rearrangement.feedback import feedback_vertex_set
 from toolkit.rearrangement.footprints import Footprint

@@ -33,9 +33,7 @@ def fewest_running(leave_first: Sequence[int], wanted: int, prefer: Callable[[in
 class _Search:
     """For a number of buffers."""
 
-    def __init__(
-        self, leave_first: Sequence[int], wanted: int, prefer: Callable[[int], float], buffers: int
-    ) -> None:
+    def __init__(self, leave_first: Sequence[int], wanted: int, prefer: Callable[[int], float], buffers: int) -> None:
         self._leave_first = leave_first
         self._items = [i for i in range(len(leave_first)) if wanted >> i & 1]
         self._wanted = wanted
