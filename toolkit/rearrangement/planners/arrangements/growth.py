@@ -51,9 +51,7 @@ def grow(table: Table, expand: Expand, expansions: int) -> list[Step]:
         away, _, node = heappop(frontier)
         heappush(frontier, (away + 1, next(numbers), node))
         steps = expand(node.arrangement)
-        reached = node.arrangement
-        for step in steps:
-            reached = reached.after(step)
+        reached = node.arrangement.after(*steps)
         if reached in seen:
             continue
         seen.add(reached)
@@ -76,8 +74,6 @@ def solved(layout: Layout, search: Search, seed: int, gave_up: str) -> Solution:
     layout, failures = screen(layout)
     table = Table(layout, seed)
     steps = search(table, np.random.default_rng(seed))
-    end = table.start
-    for step in steps:
-        end = end.after(step)
+    end = table.start.after(*steps)
     left = {layout.items[i].object: Failure("planner", gave_up) for i in bits(table.waiting(end))}
     return Solution(table.moves(steps), {**failures, **left})

@@ -11,26 +11,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolkit.rearrangement.planners.arrangements.growth import grow
+from toolkit.rearrangement.planners.arrangements.running import fewest_running
 from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit, bits
-from toolkit.rearrangement.planners.ordering.running import fewest_running
 
 _TRIES = 20
 """Times that all places are drawn anew where one is taken."""
 
 
-def running_buffers(table: Table, rng: np.random.Generator, expansions: int) -> list[Step]:
+_ORDERS = 5
+_TREES = 3
+"""Of the searches of `fewest_buffers`, the one with the shortest way counts."""
+
+
+def running_buffers(table: Table, rng: np.random.Generator, plans: int) -> list[Step]:
     """Search over arrangements: a plan with the fewest running buffers is carried out for as long as they find places.
 
     Args:
         table: where.
         rng: decides between orders that are equally good, and draws places.
-        expansions: plans after which the search ends.
+        plans: after which the search ends.
     """
 
     def expand(arrangement: Arrangement) -> list[Step]:
-        return _placed(table, arrangement, _primitive(table, arrangement, rng), rng)
+        return _placed(table, arrangement, _primitive(table, arrangement, ~0, rng), rng)
 
-    return grow(table, expand, expansions)
+    return grow(table, expand, plans)
+
+
+def fewest_buffers(table: Table, waiting: int, rng: np.random.Generator, plans: int) -> list[Step]:
+    """Steps in which only given items stand aside, once each; where no places are found for that, as few as can be.
+
+    Args:
+        table: where.
+        waiting: bits of the items that may stand aside, without which there is no cycle.
+        rng: as for `running_buffers`.
+        plans: the same.
+    """
+    for _ in range(_ORDERS):
+        steps = _placed(table, table.start, _primitive(table, table.start, waiting, rng), rng)
+        if not table.waiting(table.start.after(*steps)):
+            return steps
+    trees = [running_buffers(table, rng, plans) for _ in range(_TREES)]
+    return min(trees, key=lambda steps: (table.waiting(table.start.after(*steps)).bit_count(), len(steps)))
 
 
 @dataclass(frozen=True)
@@ -39,14 +61,14 @@ class _Action:
     to_goal: bool
 
 
-def _primitive(table: Table, arrangement: Arrangement, rng: np.random.Generator) -> list[_Action]:
+def _primitive(table: Table, arrangement: Arrangement, may_wait: int, rng: np.random.Generator) -> list[_Action]:
     """All moves, before it is known where objects stand aside."""
     waiting = table.waiting(arrangement)
     rows = [table.in_goal(i, arrangement) if waiting >> i & 1 else 0 for i in range(len(table.layout.items))]
     priority = rng.random(len(rows)).tolist()
     actions: list[_Action] = []
     gone = 0
-    for item in fewest_running(rows, waiting, lambda i: priority[i]):
+    for item in fewest_running(rows, waiting, may_wait, lambda i: priority[i]):
         for other in bits(rows[item] & ~gone):
             actions.append(_Action(other, False))
         gone |= rows[item] | 1 << item

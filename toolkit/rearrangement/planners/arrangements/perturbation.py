@@ -46,9 +46,7 @@ def perturbed(table: Table, rng: np.random.Generator, perturbations: int) -> lis
         if steps := monotone(table, arrangement):
             return steps
         aside = _aside(table, arrangement, rng)
-        for step in aside:
-            arrangement = arrangement.after(step)
-        return aside + monotone(table, arrangement)
+        return aside + monotone(table, arrangement.after(*aside))
 
     return grow(table, expand, 1 + perturbations)
 

@@ -45,13 +45,17 @@ class Arrangement(NamedTuple):
     there: int
     aside: tuple[tuple[int, int], ...]
 
-    def after(self, step: Step) -> Arrangement:
-        """The arrangement when a step was carried out."""
-        bit = 1 << step.item
-        aside = tuple(pair for pair in self.aside if pair[0] != step.item)
-        if step.to == GOAL:
-            return Arrangement(self.here & ~bit, self.there | bit, aside)
-        return Arrangement(self.here & ~bit, self.there, tuple(sorted((*aside, (step.item, step.to)))))
+    def after(self, *steps: Step) -> Arrangement:
+        """The arrangement when steps were carried out."""
+        here, there, aside = self.here, self.there, dict(self.aside)
+        for item, to in steps:
+            here &= ~(1 << item)
+            aside.pop(item, None)
+            if to == GOAL:
+                there |= 1 << item
+            else:
+                aside[item] = to
+        return Arrangement(here, there, tuple(sorted(aside.items())))
 
 
 class Table:

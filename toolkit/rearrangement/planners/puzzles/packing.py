@@ -68,7 +68,7 @@ class _Packing:
         corners = scale * self._shapes[i] @ np.array([[cos, sin], [-sin, cos]]) + place
         support = (corners @ directions().T).max(axis=0)
         others = np.concatenate([self._supports[near], self._walls])
-        if support.max() > self._radius or (gaps(support, others) < _GAP_M).any():
+        if support.max() > self._radius or (gaps(others, support) < _GAP_M).any():
             return False
         self.poses[i], self.scales[i], self._places[i], self._supports[i] = pose, scale, place, support
         return True

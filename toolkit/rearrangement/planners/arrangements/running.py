@@ -11,7 +11,7 @@ EXPANSIONS = 2000
 """Sets of items at their goals from which a search for so many buffers goes on, before it tries with one more."""
 
 
-def fewest_running(leave_first: Sequence[int], wanted: int, prefer: Callable[[int], float]) -> list[int]:
+def fewest_running(leave_first: Sequence[int], wanted: int, may_wait: int, prefer: Callable[[int], float]) -> list[int]:
     """Order items, each of which enters its goal after those in it have gone aside.
 
     Depth-first over sets of items at their goals, for one buffer more at a time, until there is an order.
@@ -19,13 +19,14 @@ def fewest_running(leave_first: Sequence[int], wanted: int, prefer: Callable[[in
     Args:
         leave_first: by item, bits of the items that stand in its goal.
         wanted: bits of the items to order.
+        may_wait: bits of the items that may go aside, without which the rest has no cycle.
         prefer: of an item; smaller ones are tried first among those that send equally many aside.
 
     Returns:
         The wanted items in order.
     """
     buffers = 0
-    while (order := _Search(leave_first, wanted, prefer, buffers).run(0, 0)) is None:
+    while (order := _Search(leave_first, wanted, may_wait, prefer, buffers).run(0, 0)) is None:
         buffers += 1
     return order
 
@@ -33,10 +34,18 @@ def fewest_running(leave_first: Sequence[int], wanted: int, prefer: Callable[[in
 class _Search:
     """For a number of buffers."""
 
-    def __init__(self, leave_first: Sequence[int], wanted: int, prefer: Callable[[int], float], buffers: int) -> None:
+    def __init__(
+        self,
+        leave_first: Sequence[int],
+        wanted: int,
+        may_wait: int,
+        prefer: Callable[[int], float],
+        buffers: int,
+    ) -> None:
         self._leave_first = leave_first
         self._items = [i for i in range(len(leave_first)) if wanted >> i & 1]
         self._wanted = wanted
+        self._may_wait = may_wait
         self._prefer = prefer
         self._buffers = buffers
         self._hopeless: set[int] = set()
@@ -67,6 +76,7 @@ class _Search:
 
     def _choices(self, done: int, aside: int) -> list[tuple[int, float, int]]:
         """Items with the number that is aside while each of them moves, fewest first."""
-        waiting = [i for i in self._items if not done >> i & 1]
+        must_stay = ~(done | aside | self._may_wait)
+        waiting = [i for i in self._items if not done >> i & 1 and not self._leave_first[i] & must_stay]
         peaks = [((aside | self._leave_first[i]) & ~done).bit_count() for i in waiting]
         return sorted((peak, self._prefer(i), i) for peak, i in zip(peaks, waiting, strict=True))
