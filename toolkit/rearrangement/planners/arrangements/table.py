@@ -1,7 +1,7 @@
 """A table as planners search it: every item stands where it was, at its goal, or at one of its spots.
 
-Spots are places and turns drawn once per item. Which of them an item, a goal or another spot makes unusable is a set of
-bits, so that a search asks for free places without any geometry.
+Spots are places and turns drawn once per item, and the places of the others. Which of them an item, a goal or another
+spot makes unusable is a set of bits, so that a search asks for free places without any geometry.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from toolkit.types import Float
 
 SPOTS = 2000
 """Places drawn for every item that may have to stand aside."""
+
+_TURNS = DIRECTIONS * np.arange(8) // 8
+"""Turns tried where others stand, in steps of a footprint: every 45 deg."""
 
 GOAL = -1
 
@@ -161,9 +164,7 @@ class _Spots:
     def __init__(self, layout: Layout, item: int, rng: np.random.Generator) -> None:
         self._layout = layout
         self._footprint = footprint = layout.items[item].footprint
-        distance, angle = layout.radius * np.sqrt(rng.random(SPOTS)), 2 * np.pi * rng.random(SPOTS)
-        places = np.array(layout.center) + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        turns = rng.integers(0, DIRECTIONS, SPOTS)
+        places, turns = _drawn(layout, rng)
         turned = (footprint.support - directions() @ footprint.center)[(np.arange(DIRECTIONS) - turns[:, None])]
         supports = turned + places @ directions().T
         inside = (supports - directions() @ np.array(layout.center)).max(axis=1) <= layout.radius
@@ -219,6 +220,17 @@ class _Spots:
         hit = np.zeros(len(self._places), bool)
         hit[near] = gaps(self._supports[near], support) < self._layout.clearance
         return _packed(hit)
+
+
+def _drawn(layout: Layout, rng: np.random.Generator) -> tuple[Float, NDArray[np.int64]]:
+    """(K, 2) places and (K,) turns: any, and those where others stand or will stand, which is where room gets free."""
+    distance, angle = layout.radius * np.sqrt(rng.random(SPOTS)), 2 * np.pi * rng.random(SPOTS)
+    anywhere = np.array(layout.center) + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    outlines = [item.footprint for item in layout.items]
+    outlines += [item.goal for item in layout.items if item.goal is not None]
+    others = np.repeat([outline.center for outline in outlines], len(_TURNS), axis=0)
+    turns = np.concatenate([rng.integers(0, DIRECTIONS, SPOTS), np.tile(_TURNS, len(outlines))])
+    return np.concatenate([anywhere, others]), turns
 
 
 def bits(mask: int) -> Iterator[int]:
