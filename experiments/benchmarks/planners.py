@@ -68,9 +68,7 @@ def main() -> None:
         for name in PLANNERS.names():
             found = Result.of(name, puzzle.layout, options.seed)
             results[FAMILIES.get(puzzle.kind, puzzle.kind)][name].append(found)
-    print(
-        "| puzzles | planner | solved | proven optimal | moves / bound | moves / optimal's | empty, m | loaded, m | ms |"
-    )
+    print("| puzzles | planner | solved | proven | moves / bound | moves / optimal's | empty, m | loaded, m | ms |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for family, by_planner in results.items():
         for name, own in by_planner.items():
