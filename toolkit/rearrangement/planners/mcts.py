@@ -16,8 +16,8 @@ from toolkit.registry import Plugin
 class MctsConfig(FollowingConfig):
     """Settings of `mcts`."""
 
-    iterations: int = Field(3000, ge=1, description="Arrangements looked at in a search.")
-    exploration: float = Field(1.0, ge=0, description="How much little-tried moves are favoured, in objects.")
+    iterations: int = Field(10_000, ge=1, description="Arrangements looked at in a search.")
+    exploration: float = Field(0.2, ge=0, description="How much little-tried moves are favoured, in objects.")
 
 
 class Mcts(Plugin[MctsConfig], Planner):

@@ -11,7 +11,8 @@ from toolkit.types import Float
 
 _GAP_M = 0.002
 _FIRST_SCALE = 0.5
-_SWEEPS = 3000
+_SWEEPS = 1000
+_RESTARTS = 20
 
 Pose = tuple[Float, float]
 """(2,) place of the centre, and yaw."""
@@ -21,7 +22,7 @@ def pack(shapes: Sequence[Float], radius: float, walls: Sequence[Footprint], rng
     """Poses in a disc around the origin without overlap.
 
     Objects of half their size are put at random places. Then each in turn is moved and turned a little and grows a
-    little, where there is room for that, until all have their sizes.
+    little, where there is room for that, until all have their sizes. Where they jam, it begins anew.
 
     Args:
         shapes: (V, 2) or (V, 3) corners of each, around its centre, metres.
@@ -32,20 +33,28 @@ def pack(shapes: Sequence[Float], radius: float, walls: Sequence[Footprint], rng
     Raises:
         ValueError: they have not grown to their sizes in time.
     """
-    packing = _Packing([shape[:, :2] for shape in shapes], radius, supports(list(walls)))
-    for i in range(len(shapes)):
-        while not packing.put(i, (radius * rng.uniform(-1, 1, 2), 2 * np.pi * rng.random()), _FIRST_SCALE):
-            pass
+    for _ in range(_RESTARTS):
+        packing = _Packing([shape[:, :2] for shape in shapes], radius, supports(list(walls)))
+        for i in range(len(shapes)):
+            while not packing.put(i, (radius * rng.uniform(-1, 1, 2), 2 * np.pi * rng.random()), _FIRST_SCALE):
+                pass
+        if _grow(packing, rng):
+            return packing.poses
+    raise ValueError(f"no arrangement of {len(shapes)} objects was found; ask for a smaller fill")
+
+
+def _grow(packing: _Packing, rng: np.random.Generator) -> bool:
+    """Shake until all objects have their sizes; say whether they got there."""
     for _ in range(_SWEEPS):
         if (packing.scales == 1.0).all():
-            return packing.poses
-        for i in range(len(shapes)):
+            return True
+        for i in range(len(packing.poses)):
             size = 10 ** rng.uniform(-2.5, -0.5)
             x, y, turn, growth = size * rng.normal(size=4)
             place, yaw = packing.poses[i]
             shifted = place + packing.scales[i] * packing.reach[i] * np.array([x, y])
             packing.put(i, (shifted, yaw + turn), min(1.0, packing.scales[i] * (1 + abs(growth))))
-    raise ValueError(f"no arrangement of {len(shapes)} objects was found; ask for a smaller fill")
+    return False
 
 
 class _Packing:
