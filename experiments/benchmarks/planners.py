@@ -61,10 +61,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=10, help="puzzles of every kind and size")
+    parser.add_argument("--most", type=int, default=60, help="objects; larger puzzles are left out")
     options = parser.parse_args()
 
     results: dict[str, dict[str, list[Result]]] = defaultdict(lambda: defaultdict(list))
-    for puzzle in track(suite(options.seed, options.repeats), console=Console(stderr=True)):
+    for puzzle in track(suite(options.seed, options.repeats, options.most), console=Console(stderr=True)):
         for name in PLANNERS.names():
             found = Result.of(name, puzzle.layout, options.seed)
             results[FAMILIES.get(puzzle.kind, puzzle.kind)][name].append(found)

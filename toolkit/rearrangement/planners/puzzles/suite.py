@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -39,45 +40,55 @@ class Puzzle:
         return f"{self.kind}, {sum(item.wanted for item in self.layout.items)}"
 
 
-def suite(seed: int, repeats: int = 10) -> list[Puzzle]:
-    """All puzzles that planners are compared on."""
-    return roomy(seed, repeats) + cramped(seed, repeats)
+def suite(seed: int, repeats: int = 10, most: int = 60) -> list[Puzzle]:
+    """All puzzles that planners are compared on, arguments as for `roomy`."""
+    return roomy(seed, repeats, most) + cramped(seed, repeats, most)
 
 
-def roomy(seed: int, repeats: int = 10) -> list[Puzzle]:
+def roomy(seed: int, repeats: int = 10, most: int = 60) -> list[Puzzle]:
     """Puzzles with an empty ring around, where objects can stand aside: up to 9 objects, and 30.
 
     Args:
         seed: of all shapes and places.
         repeats: puzzles of every kind and size.
+        most: objects of a puzzle; larger ones are left out.
     """
-    puzzles: list[Puzzle] = []
-    for k in range(repeats):
-        rng = np.random.default_rng([seed, k])
-        for kind, length, counts in (
-            ("swaps", 2, (2, 4, 8)),
-            ("cycles of 3", 3, (3, 6, 9)),
-            ("cycles of 4", 4, (4, 8)),
-        ):
-            puzzles += [Puzzle(kind, cycles(count, length, rng)) for count in counts]
-        puzzles += [Puzzle("25 % full, ring", dense(count, rng)) for count in (5, 7, 9, 30)]
-    return puzzles
+    recipes = [_Recipe("swaps", count, partial(cycles, length=2)) for count in (2, 4, 8)]
+    recipes += [_Recipe("cycles of 3", count, partial(cycles, length=3)) for count in (3, 6, 9)]
+    recipes += [_Recipe("cycles of 4", count, partial(cycles, length=4)) for count in (4, 8)]
+    recipes += [_Recipe("25 % full, ring", count, dense) for count in (5, 7, 9, 30)]
+    return _made(recipes, (seed, 0), repeats, most)
 
 
-def cramped(seed: int, repeats: int = 10) -> list[Puzzle]:
+def cramped(seed: int, repeats: int = 10, most: int = 60) -> list[Puzzle]:
     """Puzzles in which objects can stand aside between the others only: 30 to 50 % full, up to 60 objects, and shelves.
 
-    Args:
-        seed: of all shapes and places.
-        repeats: puzzles of every kind and size.
+    Arguments as for `roomy`.
     """
-    puzzles: list[Puzzle] = []
-    for k in range(repeats):
-        rng = np.random.default_rng([seed, k, 1])
-        for fill in (0.3, 0.4, 0.5):
-            puzzles += [Puzzle(f"{100 * fill:.0f} % full", dense(count, rng, fill, ring=0.0)) for count in (10, 30, 60)]
-        puzzles += [Puzzle("shelf, 30 % full", shelf(count, rng)) for count in (6, 12)]
-    return puzzles
+    recipes = [
+        _Recipe(f"{100 * fill:.0f} % full", count, partial(dense, fill=fill, ring=0.0))
+        for fill in (0.3, 0.4, 0.5)
+        for count in (10, 30, 60)
+    ]
+    recipes += [_Recipe("shelf, 30 % full", count, shelf) for count in (6, 12)]
+    return _made(recipes, (seed, 1), repeats, most)
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    kind: str
+    count: int
+    make: Callable[..., Layout]
+
+
+def _made(recipes: Sequence[_Recipe], seed: tuple[int, int], repeats: int, most: int) -> list[Puzzle]:
+    """Each from a generator of its own."""
+    return [
+        Puzzle(recipe.kind, recipe.make(recipe.count, rng=np.random.default_rng([*seed, k, number])))
+        for k in range(repeats)
+        for number, recipe in enumerate(recipes)
+        if recipe.count <= most
+    ]
 
 
 def cycles(count: int, length: int, rng: np.random.Generator) -> Layout:
