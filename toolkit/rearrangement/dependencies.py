@@ -39,6 +39,10 @@ class Dependencies:
             blocking |= row
         return tuple(j for j in range(len(self.leave_first)) if blocking >> j & 1 and j not in self.wanted)
 
+    def moves(self, twice: int) -> int:
+        """Moves it takes when so many wanted items move twice."""
+        return len(self.wanted) + len(self.evicted) + twice
+
 
 def dependencies(layout: Layout) -> Dependencies:
     """The dependency graph: an edge where an item's goal collides with another's present place."""
@@ -61,9 +65,7 @@ def lower_bound(layout: Layout) -> int:
     overhand grasps", IJRR 2018). An item without a goal moves once where it stands in another's.
     """
     graph = dependencies(layout)
-    found = feedback_vertex_set(graph.in_cycles)
-    assert found is not None
-    return len(graph.wanted) + len(graph.evicted) + found.lower_bound
+    return graph.moves(feedback_vertex_set(graph.in_cycles).lower_bound)
 
 
 def screen(layout: Layout) -> tuple[Layout, dict[int, Failure]]:

@@ -32,25 +32,17 @@ class FeedbackSet:
     lower_bound: int
 
 
-def feedback_vertex_set(successors: Sequence[int], kept: int = 0) -> FeedbackSet | None:
+def feedback_vertex_set(successors: Sequence[int]) -> FeedbackSet:
     """Find a feedback vertex set, the smallest where the components are small.
 
     Args:
         successors: bit j of successors[i] is the edge from i to j.
-        kept: bits of the vertices that must not be chosen.
-
-    Returns:
-        The set; None where the kept vertices alone form a cycle.
     """
     chosen: list[int] = []
     bound = 0
     for component in _components(successors):
         graph = _Graph.of(successors, component)
-        for v in _bits(component & kept):
-            graph.contract(v)
         search = _Search(None if component.bit_count() <= EXACT_UP_TO else _BUDGET)
-        if any(graph.successors[v] >> v & 1 for v in _bits(component & kept)):
-            return None
         search.run(graph, [])
         assert search.best is not None
         chosen += search.best

@@ -237,17 +237,26 @@ class Finished:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Solution:
     """All moves of a planner whose moves all succeed.
 
     Attributes:
         moves: in order.
         failures: by object, why it is not brought to its goal.
-        lower_bound: no plan that brings the others to their goals has fewer moves.
     """
 
     moves: tuple[Move, ...]
     failures: Mapping[int, Failure]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan(Solution):
+    """A solution, and how good it can be.
+
+    Attributes:
+        lower_bound: no plan that brings the objects that have not failed to their goals has fewer moves.
+    """
+
     lower_bound: int
 
     @property

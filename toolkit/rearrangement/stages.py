@@ -117,6 +117,9 @@ PLANNERS: Registry[Planner] = Registry(
     {
         "paper": "toolkit.rearrangement.planners.paper:Paper",
         "optimal": "toolkit.rearrangement.planners.optimal:Optimal",
+        "monotone": "toolkit.rearrangement.planners.monotone:Monotone",
+        "mcts": "toolkit.rearrangement.planners.mcts:Mcts",
+        "trlb": "toolkit.rearrangement.planners.trlb:Trlb",
     },
 )
 GRASPERS: Registry[Grasper] = Registry(

@@ -11,20 +11,14 @@ from toolkit.rearrangement.moves import Item, Layout, Move
 from toolkit.types import Float
 
 _GRID_M = 0.02
-_FINE_GRID_M = 0.01
 _SPARE_M = 0.01
 """Room left around an object that stands aside, beyond the layout's clearance."""
 
 _TURNS = tuple(DIRECTIONS * part // 8 for part in (0, 2, 1, 3))
 """Turns tried, in steps of a footprint: none, 90, 45 and 135 deg."""
 
-_FINE_TURNS = tuple(range(0, DIRECTIONS // 2, DIRECTIONS // 30))
-"""Turns tried where space is tight: every 12 deg."""
 
-
-def nearest_spot(
-    item: Item, layout: Layout, taken: Sequence[Footprint], reason: str, *, tight: bool = False
-) -> Move | None:
+def nearest_spot(item: Item, layout: Layout, taken: Sequence[Footprint], reason: str) -> Move | None:
     """The free place that costs an item the shortest way there and on to its goal.
 
     Args:
@@ -32,15 +26,14 @@ def nearest_spot(
         layout: gives the area and the clearance.
         taken: what the place must keep clear of.
         reason: put into the move.
-        tight: look closer, and leave no more room than the layout's clearance.
 
     Returns:
         The move there, turned only where that is needed; None where nothing is free.
     """
-    shifts = _grid(layout, _FINE_GRID_M if tight else _GRID_M) - item.footprint.center
-    for steps in _FINE_TURNS if tight else _TURNS:
+    shifts = _grid(layout) - item.footprint.center
+    for steps in _TURNS:
         turned = item.footprint.moved(np.zeros(2), steps)
-        free = _free(turned, shifts, layout, taken, 0.0 if tight else _SPARE_M)
+        free = _free(turned, shifts, layout, taken, _SPARE_M)
         if len(free):
             there = np.linalg.norm(free, axis=1)
             if item.goal is not None:
@@ -64,10 +57,10 @@ def aside(item: Item, shift: Float, steps: int, reason: str) -> Move:
     return Move(item.object, T, item.footprint.moved(shift, steps), "buffer", reason)
 
 
-def _grid(layout: Layout, spacing: float) -> Float:
+def _grid(layout: Layout) -> Float:
     """(N, 2) places on the table, metres."""
-    count = int(layout.radius / spacing)
-    ticks = spacing * np.arange(-count, count + 1)
+    count = int(layout.radius / _GRID_M)
+    ticks = _GRID_M * np.arange(-count, count + 1)
     places = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
     return places[np.linalg.norm(places, axis=1) <= layout.radius] + np.array(layout.center)
 

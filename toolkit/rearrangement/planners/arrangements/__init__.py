@@ -1,0 +1,1 @@
+"""Searches over arrangements: what stands where, reached one move at a time."""
