@@ -178,8 +178,7 @@ def _carry_out(
 
 
 def _request(sight: Sight, move: Move) -> PickPlace:
-    others: list[Float] = [cloud for instance, cloud in sight.clouds.items() if instance != move.object]
-    return PickPlace(sight.clouds[move.object], move.T_place_pick, np.concatenate([np.zeros((0, 3)), *others]))
+    return PickPlace(sight.clouds[move.object], move.T_place_pick, sight.obstacles(move.object))
 
 
 def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None:

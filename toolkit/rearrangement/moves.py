@@ -131,7 +131,7 @@ class PickPlace:
     Attributes:
         points: (N, 3) seen points of the object where it stands, world coordinates.
         T_place_pick: (4, 4) motion from where it stands to where it is to be put.
-        others: (M, 3) seen points of all other objects.
+        others: (M, 3) points of all that is elsewhere: what was seen, and space that nobody saw into.
     """
 
     points: Float
@@ -146,7 +146,7 @@ class GraspRequest:
     Attributes:
         points: (N, 3) seen points of the object where it stands, world coordinates.
         T_place_pick: (4, 4) motion from where it stands to where it is to be put.
-        others: (M, 3) seen points of all other objects.
+        others: (M, 3) points of all that is elsewhere: what was seen, and space that nobody saw into.
         gripper: what takes hold.
         approach_m: straight way along which it comes to the object, and leaves it where it was put.
     """

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from toolkit.plugin_kit.conformance.kit import Outcome, require, run_check
 from toolkit.sim.bullet import require_pybullet
+from toolkit.sim.arm_scene import ArmScene
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
 from toolkit.sim.robot import Robot
@@ -51,10 +53,12 @@ def it_stands_within_its_limits_at_home(model: RobotModel) -> str:
 
 def it_touches_nothing_at_home(model: RobotModel) -> None:
     """Neither itself nor the table it stands on."""
-    with closing(Clearance(model, np.eye(4), ())) as clearance:
-        clearance.arrange((), model.drive[0])
-        hit = clearance.hit(np.array(model.home))
-    require(hit is None, f"at `home` the arm touches {hit}")
+    with closing(Client()) as client:
+        robot = Robot(client, model, np.eye(4))
+    home, world = np.array(model.home), Clearance(robot, 0.0).world()
+    for hit, solids in (("itself", ()), ("the table", world.solids)):
+        scene = ArmScene(replace(world, solids=solids), robot.chain.lower, robot.chain.upper)
+        require(scene.free(home), f"at `home` the arm touches {hit}")
 
 
 def its_gripper_opens_and_closes(model: RobotModel) -> str:
