@@ -36,7 +36,7 @@ def test_cubes_hold_their_points_and_their_margin_and_little_more(points, side, 
 
 @given(POINTS)
 def test_what_stands_is_full_down_to_the_table(points):
-    points = points + [0, 0, 0.6]
+    points = points + np.array([0, 0, 0.6])
     seen = around(points, 0.01)
     full = standing(seen)
     assert len(np.unique(full.cells, axis=0)) == len(full.cells)
@@ -93,7 +93,7 @@ def test_space_below_what_was_seen_is_full(clearance):
 def test_what_is_carried_goes_along_and_hits_what_stands_around(clearance):
     """A block below the fingers, and a post beside it that ends below the fingers too."""
     block, aside = below(clearance, 0.12), make_transform(np.eye(3), np.array([0.03, 0, 0]))
-    clearance.see(block, block + [0.04, 0, 0])
+    clearance.see(block, block + np.array([0.04, 0, 0]))
     clearance.carry(clearance.in_hand(HOME))
     assert clearance.free(HOME) and clearance.room(np.eye(4))
     clearance.carry(clearance.in_hand(HOME) @ aside)
@@ -104,7 +104,7 @@ def test_what_is_carried_goes_along_and_hits_what_stands_around(clearance):
 
 def test_room_is_where_nothing_else_was_seen(clearance):
     block = below(clearance, 0.3)
-    clearance.see(block, block + [0.03, 0, 0])
+    clearance.see(block, block + np.array([0.03, 0, 0]))
     shifts = {0.0: True, 0.004: True, 0.012: False, 0.03: False, 0.06: True}
     for shift, room in shifts.items():
         T = make_transform(np.eye(3), np.array([shift, 0, 0]))
@@ -114,6 +114,6 @@ def test_room_is_where_nothing_else_was_seen(clearance):
 def test_things_that_touch_share_no_space(clearance):
     """A neighbour as near as can be does not keep an object from being lifted."""
     block = below(clearance, 0.11)
-    clearance.see(block, block + [0, 0.0225, 0])
+    clearance.see(block, block + np.array([0, 0.0225, 0]))
     clearance.carry(clearance.in_hand(HOME))
     assert clearance.free(HOME)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from toolkit.errors import ToolkitError

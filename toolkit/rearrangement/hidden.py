@@ -14,7 +14,7 @@ _SIDE_M = 0.01
 _BEHIND_M = 0.005
 """Space this far behind a surface is hidden by it; measured depths are no truer than that."""
 
-_AROUND_M = 0.15
+_AROUND_M = 0.25
 _OWN_M = 0.05
 
 
@@ -24,7 +24,7 @@ def hidden_space(frames: Sequence[Frame], clouds: Mapping[int, Float]) -> tuple[
     Args:
         frames: of the table as it is, with depth.
         clouds: by instance, (N, 3) seen points of it, world coordinates, z up; what is looked at is their
-            surroundings, up to the highest of them.
+            surroundings, 25 cm to every side and up to the highest of them.
 
     Returns:
         By instance, the (M, 3) middles of such space within 5 cm of its points, nearest instance first served, every
@@ -34,7 +34,8 @@ def hidden_space(frames: Sequence[Frame], clouds: Mapping[int, Float]) -> tuple[
     if not clouds:
         return {}, nothing
     points = np.concatenate(list(clouds.values()))
-    low, high = points.min(axis=0) - [_AROUND_M, _AROUND_M, -_SIDE_M], points.max(axis=0) + [_AROUND_M, _AROUND_M, 0]
+    around = np.array([_AROUND_M, _AROUND_M, -_SIDE_M])
+    low, high = points.min(axis=0) - around, points.max(axis=0) + np.abs(around)
     axes = [np.arange(a, b, _SIDE_M) for a, b in zip(low, high, strict=True)]
     space = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     behind, empty = np.zeros(len(space), bool), np.zeros(len(space), bool)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -52,7 +51,8 @@ class Clearance:
         self._allowed = frozenset((names[a], names[b]) for a, b in near)
         self._allowed |= {(names[link], _TABLE_NAME) for link in robot.base_links}
         self._urdf = absolute_text(robot.model.urdf())
-        self._points: Float = np.zeros((0, 3))
+        self.points: Float = np.zeros((0, 3))
+        """(N, 3) of the object, where it was seen."""
         self._load: Cubes | None = None
         self._passed: Cubes | None = None
         self._others: Cubes | None = None
@@ -61,7 +61,7 @@ class Clearance:
 
     def see(self, points: Float, others: Float) -> None:
         """Take (N, 3) points of an object and (M, 3) of everything else for what is there now; nothing is carried."""
-        self._points = points
+        self.points = points
         self._load = around(points, _FINE_M) if len(points) else None
         self._passed = around(points, _COARSE_M, self._margin) if len(points) else None
         self._others = standing(around(others, _COARSE_M, self._margin)) if len(others) else None
@@ -117,7 +117,7 @@ class Clearance:
 
     def room(self, T: Float) -> bool:
         """Say whether the object would touch no other, a (4, 4) motion away from where it was seen."""
-        return self._others is None or not any_inside(self._others, transform_points(T, self._points))
+        return self._others is None or not any_inside(self._others, transform_points(T, self.points))
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""

@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 
 from toolkit.plugin_kit.conformance.kit import Outcome, require, run_check
-from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.arm_scene import ArmScene
+from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
 from toolkit.sim.robot import Robot

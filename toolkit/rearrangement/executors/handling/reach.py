@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from toolkit.geometry import invert, make_transform
+from toolkit.geometry import invert
 from toolkit.rearrangement.executors.handling.inverse import Inverse, steps
+from toolkit.rearrangement.executors.handling.squeeze import squeezed
 from toolkit.rearrangement.executors.handling.way import Way
 from toolkit.rearrangement.moves import Grasp, MotionProblem
 from toolkit.rearrangement.stages import MotionPlanner
@@ -102,7 +103,7 @@ class Reach:
         at_grasps = self._inverse.solve(hand, q)[:3]
         if at_grasps and not self._inverse.solve(T_place_pick @ hand, q):
             return 2
-        if at_grasps and not self._can_be_centred(grasp):
+        if at_grasps and not self._can_be_squeezed(grasp):
             return 1
         furthest = 0
         for at_grasp in at_grasps:
@@ -162,10 +163,11 @@ class Reach:
         clear = next((i for i, q in enumerate(path[1:], 1) if not self._clearance.free(q)), len(path))
         return path[:clear] if clear > steps(_LEAST_LIFT_M) else None
 
-    def _can_be_centred(self, grasp: Grasp) -> bool:
-        """Say whether the finger that comes first may push the object, either way, without pushing others."""
-        pushes = grasp.spare * np.outer((1, -1), grasp.T_world_gripper[:3, 0])
-        return all(self._clearance.room(make_transform(np.eye(3), by)) for by in pushes)
+    def _can_be_squeezed(self, grasp: Grasp) -> bool:
+        """Say whether the fingers may close on the object without pushing it against others."""
+        clearance = self._clearance
+        motions = squeezed(clearance.points, grasp, clearance.robot.model.gripper)
+        return all(map(clearance.room, motions))
 
     def _leaves(self, wanted: Float, retreat: Float, grasp: Grasp) -> bool:
         """Say whether the opened hand gets away from the object where it was put."""
