@@ -7,7 +7,6 @@ from itertools import combinations, product
 import numpy as np
 
 from toolkit.geometry import invert, transform_points
-from toolkit.sim.arm_scene import ArmScene
 from toolkit.sim.cubes import any_inside, around, standing, without
 from toolkit.sim.robot import Robot
 from toolkit.sim.urdf import absolute_text
@@ -57,6 +56,8 @@ class Clearance:
         self._passed: Cubes | None = None
         self._others: Cubes | None = None
         self.arrange(robot.model.drive[0])
+        from toolkit.sim.arm_scene import ArmScene  # RoboPlan is not on every machine
+
         self._scene = ArmScene(self.world(), robot.chain.lower, robot.chain.upper)
 
     def see(self, points: Float, others: Float) -> None:

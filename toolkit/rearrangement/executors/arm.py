@@ -23,6 +23,7 @@ from toolkit.registry import Plugin, PluginConfig, StageChoice
 from toolkit.sim.bench import Bench, Touch
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
+from toolkit.sim.roboplan import require_roboplan
 from toolkit.sim.robots import RobotModel, find_robot
 from toolkit.sim.urdf import require_parts
 from toolkit.types import Failure, Float, Frame, Image
@@ -81,8 +82,9 @@ class Arm(Plugin[ArmConfig], Executor):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """Raise ToolkitError unless the simulator, the robot's description and both chosen stages can be had."""
+        """Raise ToolkitError unless simulator, RoboPlan, the robot's description and both chosen stages can be had."""
         require_pybullet()
+        require_roboplan()
         require_parts(self._model)
         for part in self._parts:
             part.check_ready()
