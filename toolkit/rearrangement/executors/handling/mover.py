@@ -57,7 +57,11 @@ class Mover:
         if lost := self._lost(number, in_hand):
             self._put_back(way, number)
             return Failure("executor", f"the object {lost} the gripper while it was lifted")
-        way = reach.adapted(way, self._in_hand(number) @ T_object_seen, wanted)
+        adapted = reach.adapted(way, self._in_hand(number) @ T_object_seen, wanted)
+        if isinstance(adapted, Failure):
+            self._put_back(way, number)
+            return adapted
+        way = adapted
         self._follow(way.transfer, self._fast, "carrying", number)
         if not bench.held(number):
             self._let_go(way, way.lower[0], number)

@@ -12,6 +12,7 @@ from toolkit.rearrangement.executors.handling.inverse import Inverse, steps
 from toolkit.rearrangement.executors.handling.squeeze import squeezed
 from toolkit.rearrangement.executors.handling.way import Way
 from toolkit.rearrangement.moves import Grasp, MotionProblem
+from toolkit.rearrangement.paths import densify
 from toolkit.rearrangement.stages import MotionPlanner
 from toolkit.sim.clearance import Clearance
 from toolkit.types import Failure, Float
@@ -22,6 +23,9 @@ _CLOSING = 3
 
 _MOST_SEARCHES = 3
 """Grasps whose free paths are searched for at most."""
+
+_CHECK_RAD = 0.04
+"""Way between two checks of a path that was planned for an object that lay in the hand otherwise."""
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """A gripper turned by this holds the same."""
@@ -187,7 +191,7 @@ class Reach:
             return transfer
         return Way(grasp, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
 
-    def adapted(self, way: Way, in_hand: Float, wanted: Float) -> Way:
+    def adapted(self, way: Way, in_hand: Float, wanted: Float) -> Way | Failure:
         """Plan the second half of a way anew, for an object that lies in the hand otherwise than planned.
 
         Args:
@@ -196,18 +200,24 @@ class Reach:
             wanted: (4, 4) motion from where it was seen to where it is to be put.
 
         Returns:
-            The way with its new second half; the way as it was where no better one is found.
+            The way with its new second half; the way as it was where no better one is found and nothing is touched on
+            it; else a Failure.
         """
-        self._clearance.arrange(self._clearance.robot.drive_for(way.grasp.closed))
+        clearance = self._clearance
+        clearance.arrange(clearance.robot.drive_for(way.grasp.closed))
         landing = self._land(in_hand, wanted, way.lower[-1], way.grasp)
-        if isinstance(landing, int):
+        if not isinstance(landing, int):
+            lower = landing.lower[: len(way.lift)][::-1]
+            clearance.carry(in_hand, over_table=True)
+            transfer = self.free_path(way.lift[-1], lower[0])
+            if not isinstance(transfer, Failure):
+                return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
+        clearance.carry(in_hand)
+        if all(map(clearance.free, np.concatenate([densify(way.transfer, _CHECK_RAD), way.lower]))):
             return way
-        self._clearance.carry(in_hand, over_table=True)
-        lower = landing.lower[: len(way.lift)][::-1]
-        transfer = self.free_path(way.lift[-1], lower[0])
-        if isinstance(transfer, Failure):
-            return way
-        return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
+        return Failure(
+            "executor", "as the object lies in the gripper, it would touch something on the way to its place"
+        )
 
     def way_out(self, q: Float) -> Float:
         """(N, J) straight back along the gripper's axis to where nothing is touched, among objects as arranged.
