@@ -165,8 +165,7 @@ def _carry_out(
             return
         outcome = executor.pick_place(_request(sight, step))
         _count(episode, sight, step, outcome)
-        if outcome.failure is None:
-            sight = sight.after(step)
+        sight = sight.after_outcome(step, outcome)
         if settings.observe == "move":
             seen = _perceive(episode, pipeline, executor, settings)
             if seen is None:

@@ -11,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 
 from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.pipeline import Pipeline
+from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.hidden import hidden_space
-from toolkit.rearrangement.moves import Item, Layout, Move
+from toolkit.rearrangement.moves import Item, Layout, Move, Outcome
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
 
@@ -76,6 +77,15 @@ class Sight:
             clouds={**self.clouds, moved: transform_points(T, self.clouds[moved])},
             hidden={**self.hidden, moved: transform_points(T, self.hidden[moved])},
         )
+
+    def after_outcome(self, move: Move, outcome: Outcome) -> Sight:
+        """What there is to see when `move` had that outcome: the object where the executor says that it is now."""
+        T = outcome.T_moved
+        if T is None:
+            return self if outcome.failure is not None else self.after(move)
+        footprint = Footprint.of(transform_points(T, self.clouds[move.object]))
+        to = move.to if outcome.failure is None else "buffer"
+        return self.after(replace(move, T_place_pick=T, footprint=footprint, to=to))
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:

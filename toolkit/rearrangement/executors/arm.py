@@ -174,8 +174,10 @@ class Arm(Plugin[ArmConfig], Executor):
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self._moves += 1
+        before = self._bench.pose(number)
         failure = self._carry_out(number, request)
-        return Outcome(failure, number, self._bench.seconds - start)
+        moved = self._bench.pose(number) @ invert(before)
+        return Outcome(failure, number, self._bench.seconds - start, moved if self._bench.seconds > start else None)
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)

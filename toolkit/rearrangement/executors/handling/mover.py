@@ -51,7 +51,7 @@ class Mover:
         bench.grip = bench.robot.drive_for(way.grasp.opening)
         self._follow(way.to_grasp, self._fast, "going to the grasp", None)
         self._follow(way.approach, self._slow, "approaching", number)
-        self._close(number)
+        self.close_on(number)
         in_hand = self._in_hand(number)
         self._follow(way.lift, self._slow, "lifting", number)
         if lost := self._lost(number, in_hand):
@@ -82,8 +82,8 @@ class Mover:
         if len(path) > 1:
             self._follow(path, self._slow, "backing off", number)
 
-    def _close(self, number: int) -> None:
-        """Close until the fingers stop, then press."""
+    def close_on(self, number: int) -> None:
+        """Close until the fingers hold an object, then press."""
         bench = self._bench
         opened, closed = bench.robot.model.drive
         pace = (closed - opened) * STEP_S / _GRIP_S
