@@ -89,10 +89,16 @@ class Clearance:
         assert self._load is not None
         self._set(Solid(_LOAD, self._load, in_hand, self.robot.model.hand), touching=True, over_table=over_table)
 
-    def put(self, T: Float, drive: float) -> None:
-        """Leave the object a (4, 4) motion away from where it was seen, between fingers at a drive value for now."""
+    def put(self, T: Float, drive: float, *, held: bool) -> None:
+        """Leave the object a (4, 4) motion away from where it was seen, between fingers at a drive value for now.
+
+        Args:
+            T: from where it was seen to where it is.
+            drive: of the gripper.
+            held: the robot may touch it.
+        """
         assert self._load is not None
-        self._set(Solid(_LOAD, self._load, T), touching=True, drive=drive)
+        self._set(Solid(_LOAD, self._load, T), touching=held, drive=drive)
 
     def _set(
         self, load: Solid | None, *, touching: bool = False, over_table: bool = False, drive: float | None = None

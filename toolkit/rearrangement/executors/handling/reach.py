@@ -135,7 +135,7 @@ class Reach:
         if not all(map(clearance.free, approach)):
             return False
         for opening in np.linspace(grasp.opening, grasp.closed, _CLOSING + 1)[1:]:
-            clearance.put(np.eye(4), robot.drive_for(float(opening)))
+            clearance.put(np.eye(4), robot.drive_for(float(opening)), held=True)
             if not clearance.free(approach[0]):
                 return False
         return True
@@ -174,9 +174,13 @@ class Reach:
         return all(map(clearance.room, motions))
 
     def _leaves(self, wanted: Float, retreat: Float, grasp: Grasp) -> bool:
-        """Say whether the opened hand gets away from the object where it was put."""
-        self._clearance.put(wanted, self._clearance.robot.drive_for(grasp.opening))
-        return all(map(self._clearance.free, retreat))
+        """Say whether the opened hand gets away from the object where it was put, without taking it along."""
+        clearance, drive = self._clearance, self._clearance.robot.drive_for(grasp.opening)
+        clearance.put(wanted, drive, held=True)
+        if not clearance.free(retreat[0]):
+            return False
+        clearance.put(wanted, drive, held=False)
+        return all(map(clearance.free, retreat[1:]))
 
     def _join(self, q: Float, grasp: Grasp, lines: _Lines) -> Way | Failure:
         """Free paths to the straight parts, and between them."""
