@@ -1,7 +1,7 @@
 """Plan an arm's motions between collision-free poses over a cluttered table; prints Markdown.
 
-Times are processor time; what a planner does once per scene stands apart. PyBullet judges every path, with objects that
-are 2 mm larger than they are.
+Planners are shown points all over the objects' surfaces. Times are processor time; what a planner does once per scene
+stands apart. PyBullet judges every path by the objects' own shapes.
 
 python experiments/benchmarks/motion.py --pairs 500
 """
@@ -12,26 +12,33 @@ import argparse
 import time
 from collections import Counter
 from contextlib import closing
+from typing import Any, cast
 
 import numpy as np
+import trimesh
 from rich.console import Console
 from rich.progress import track
 
 from toolkit.data.objects import load_object_set
-from toolkit.data.tabletop import TabletopConfig, draw_scene
-from toolkit.geometry import make_transform
+from toolkit.data.tabletop import TabletopConfig, TabletopScene, draw_scene
+from toolkit.geometry import make_transform, transform_points
 from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.arm import ArmConfig, base_pose
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.paths import densify, length
 from toolkit.results.stats import wilson_interval
+from toolkit.sim.bullet import silence
 from toolkit.sim.clearance import Clearance
-from toolkit.sim.robots import find_robot
+from toolkit.sim.client import Client
+from toolkit.sim.compound import add_compound
+from toolkit.sim.robot import Robot
+from toolkit.sim.robots import RobotModel, find_robot
 from toolkit.stages import MOTION_PLANNERS, MotionPlanner
 from toolkit.types import Failure, Float
 
 PAIRS_A_SCENE = 10
 REACH_M = (0.35, 0.7)
+POINTS, LOWEST_M = 20000, 0.002
 JUDGED_RAD = 0.02
 """Way between two poses that the judge looks at: half of what lies between those that planners check."""
 
@@ -60,8 +67,10 @@ def main() -> None:
         scene = draw_scene(config, objects, number, cache_root())
         rng = np.random.default_rng([options.seed, number])
         count = min(PAIRS_A_SCENE, options.pairs - number * PAIRS_A_SCENE)
-        with closing(Clearance(robot, base, [asset.hulls for asset in scene.assets])) as clearance:
-            clearance.arrange(scene.current, robot.drive[0])
+        with closing(Client()) as client:
+            judge = Judge(client, robot, base, scene)
+            clearance = Clearance(judge.robot, ArmConfig().margin_m)
+            clearance.see(np.zeros((0, 3)), surfaces(scene))
             pairs = [(free_pose(clearance, base, rng), free_pose(clearance, base, rng)) for _ in range(count)]
             lines = [float(np.linalg.norm(goal - start)) for start, goal in pairs]
             straight += lines
@@ -75,7 +84,7 @@ def main() -> None:
                         reasons[name, path.reason] += 1
                     else:
                         lengths[name].append(length(path) / line)
-                        touching[name] += not all(map(clearance.free, densify(path, JUDGED_RAD)))
+                        touching[name] += any(map(judge.touches, densify(path, JUDGED_RAD)))
     print(f"{options.robot}, {len(straight)} pairs, hands 2 to 30 cm over tables of 8 to 9 objects\n")
     print("| motion | found | 95 % interval | touch | median ms | 95th percentile ms | length / line | once, ms |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
@@ -88,6 +97,39 @@ def main() -> None:
         )
     for (name, reason), count in reasons.most_common():
         print(f"- {name}, {count}: {reason}")
+
+
+class Judge:
+    """The robot among a scene's true shapes, in a client of PyBullet."""
+
+    def __init__(self, client: Client, model: RobotModel, base: Float, scene: TabletopScene) -> None:
+        self._client = client
+        self.robot = Robot(client, model, base)
+        self._bodies = [client.add_plane()]
+        for link in self.robot.base_links:
+            client.ignore(self.robot.body, self._bodies[0], link)
+        for asset, pose in zip(scene.assets, scene.current, strict=True):
+            with silence():
+                # A mass, because PyBullet looks for no contacts between bodies without one.
+                self._bodies.append(int(client.createMultiBody(1, add_compound(client, asset.hulls))))
+            client.place(self._bodies[-1], pose)
+
+    def touches(self, q: Float) -> bool:
+        """Say whether the arm cuts into the table or an object at (J,) joint angles."""
+        self.robot.set(q)
+        self._client.performCollisionDetection()
+        contacts = self._client.contacts(self.robot.body)
+        return any(contact.distance < 0 and contact.other in self._bodies for contact in contacts)
+
+
+def surfaces(scene: TabletopScene) -> Float:
+    """(N, 3) points all over the objects, above the table."""
+    clouds: list[Float] = []
+    for asset, pose in zip(scene.assets, scene.current, strict=True):
+        mesh = cast(Any, trimesh.load(asset.mesh, force="mesh"))
+        clouds.append(transform_points(pose, np.asarray(trimesh.sample.sample_surface(mesh, POINTS, seed=0)[0])))
+    points = np.concatenate(clouds)
+    return points[points[:, 2] > LOWEST_M]
 
 
 def problem_of(clearance: Clearance, start: Float, goal: Float) -> MotionProblem:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 import trimesh
@@ -15,7 +17,8 @@ from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.moves import PickPlace
 from toolkit.sim.bench import Bench
 from toolkit.sim.bullet import pybullet
-from toolkit.sim.clearance import Clearance
+from toolkit.sim.client import Client
+from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
 from toolkit.stages import GRASPERS
 
@@ -110,19 +113,18 @@ def test_what_cannot_be_done_has_a_reason(scene, arm):
         np.testing.assert_allclose(arm.state()[number], pose, atol=1e-4)
 
 
-def test_the_gripper_and_the_chain_are_the_description_s(scene):
-    clearance = Clearance(ROBOTS["panda"], np.eye(4), [asset.hulls for asset in scene.assets])
-    robot = clearance.robot
-    for opening in (0.0, 0.03, 0.07):
-        robot.set_drive(robot.drive_for(opening))
-        assert 2 * robot.drive == pytest.approx(opening, abs=1e-3)  # a Panda's fingers slide by half of it each
-    q = np.array(robot.model.home)
-    robot.set(q)
-    hand = clearance.hand_at(q)
-    np.testing.assert_allclose(hand, robot.T_world_hand(), atol=1e-6)
-    (found, *_) = robot.chain.solve(hand, q[None] + 0.1)
-    np.testing.assert_allclose(clearance.hand_at(found), hand, atol=1e-3)
-    clearance.close()
+def test_the_gripper_and_the_chain_are_the_description_s():
+    with closing(Client()) as client:
+        robot = Robot(client, ROBOTS["panda"], np.eye(4))
+        for opening in (0.0, 0.03, 0.07):
+            robot.set_drive(robot.drive_for(opening))
+            assert 2 * robot.drive == pytest.approx(opening, abs=1e-3)  # a Panda's fingers slide by half of it each
+        q = np.array(robot.model.home)
+        robot.set(q)
+        hand = robot.chain.end(q)
+        np.testing.assert_allclose(hand, robot.T_world_hand(), atol=1e-6)
+        (found, *_) = robot.chain.solve(hand, q[None] + 0.1)
+        np.testing.assert_allclose(robot.chain.end(found), hand, atol=1e-3)
 
 
 def test_one_drive_moves_both_fingers():

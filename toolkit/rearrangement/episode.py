@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from toolkit.errors import ToolkitError
@@ -166,8 +165,7 @@ def _carry_out(
             return
         outcome = executor.pick_place(_request(sight, step))
         _count(episode, sight, step, outcome)
-        if outcome.failure is None:
-            sight = sight.after(step)
+        sight = sight.after_outcome(step, outcome)
         if settings.observe == "move":
             seen = _perceive(episode, pipeline, executor, settings)
             if seen is None:
@@ -178,8 +176,7 @@ def _carry_out(
 
 
 def _request(sight: Sight, move: Move) -> PickPlace:
-    others: list[Float] = [cloud for instance, cloud in sight.clouds.items() if instance != move.object]
-    return PickPlace(sight.clouds[move.object], move.T_place_pick, np.concatenate([np.zeros((0, 3)), *others]))
+    return PickPlace(sight.clouds[move.object], move.T_place_pick, sight.obstacles(move.object))
 
 
 def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None:

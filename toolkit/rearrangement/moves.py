@@ -131,7 +131,7 @@ class PickPlace:
     Attributes:
         points: (N, 3) seen points of the object where it stands, world coordinates.
         T_place_pick: (4, 4) motion from where it stands to where it is to be put.
-        others: (M, 3) seen points of all other objects.
+        others: (M, 3) points of all that is elsewhere: what was seen, and space that nobody saw into.
     """
 
     points: Float
@@ -146,7 +146,7 @@ class GraspRequest:
     Attributes:
         points: (N, 3) seen points of the object where it stands, world coordinates.
         T_place_pick: (4, 4) motion from where it stands to where it is to be put.
-        others: (M, 3) seen points of all other objects.
+        others: (M, 3) points of all that is elsewhere: what was seen, and space that nobody saw into.
         gripper: what takes hold.
         approach_m: straight way along which it comes to the object, and leaves it where it was put.
     """
@@ -218,11 +218,15 @@ class Outcome:
         failure: why the object was not put where it should be; None where it was.
         object: instance id of the object that was taken, where the executor knows.
         seconds: how long the move took, on the robot's clock.
+        T_moved: (4, 4) motion that the object has really had, by what the executor measured, whether or not that is
+            what it was asked for; None where it was not measured: then it is what was asked for, and none where that
+            failed.
     """
 
     failure: Failure | None
     object: int | None = None
     seconds: float = 0.0
+    T_moved: Float | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ from scipy.optimize import linear_sum_assignment
 
 from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.pipeline import Pipeline
-from toolkit.rearrangement.moves import Item, Layout, Move
+from toolkit.rearrangement.footprints import Footprint
+from toolkit.rearrangement.hidden import hidden_space
+from toolkit.rearrangement.moves import Item, Layout, Move, Outcome
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
 
@@ -46,6 +48,8 @@ class Sight:
         estimates: one per goal object.
         goal_objects: by instance, the goal object it is taken for.
         failures: by goal object, why it has no motion.
+        hidden: by instance, (M, 3) middles of the space around it that nobody saw into (`hidden_space`).
+        unknown: (K, 3) those of such space elsewhere.
     """
 
     layout: Layout
@@ -53,11 +57,35 @@ class Sight:
     estimates: tuple[PoseEstimate, ...]
     goal_objects: Mapping[int, int]
     failures: Mapping[int, Failure]
+    hidden: Mapping[int, Float]
+    unknown: Float
+
+    def obstacles(self, instance: int) -> Float:
+        """(M, 3) points of everything but an instance: what was seen of it, and where nobody saw that there is nothing.
+
+        What only the instance hides is not in it, since a gripper that takes hold of it must go there.
+        """
+        full = (*self.clouds.items(), *self.hidden.items())
+        return np.concatenate([self.unknown, *(points for other, points in full if other != instance)])
 
     def after(self, move: Move) -> Sight:
         """What there is to see when `move` was carried out as meant."""
-        moved = transform_points(move.T_place_pick, self.clouds[move.object])
-        return replace(self, layout=self.layout.after(move), clouds={**self.clouds, move.object: moved})
+        T, moved = move.T_place_pick, move.object
+        return replace(
+            self,
+            layout=self.layout.after(move),
+            clouds={**self.clouds, moved: transform_points(T, self.clouds[moved])},
+            hidden={**self.hidden, moved: transform_points(T, self.hidden[moved])},
+        )
+
+    def after_outcome(self, move: Move, outcome: Outcome) -> Sight:
+        """What there is to see when `move` had that outcome: the object where the executor says that it is now."""
+        T = outcome.T_moved
+        if T is None:
+            return self if outcome.failure is not None else self.after(move)
+        footprint = Footprint.of(transform_points(T, self.clouds[move.object]))
+        to = move.to if outcome.failure is None else "buffer"
+        return self.after(replace(move, T_place_pick=T, footprint=footprint, to=to))
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:
@@ -84,7 +112,8 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
     clouds = {instance: points for instance, (points, _) in scene.clouds().items()}
     items = tuple(_item(instance, own, claims.get(instance), settings) for instance, own in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
-    return Sight(layout, clouds, estimates, {i: e.goal_object for i, e in claims.items()}, failures)
+    goal_objects = {i: e.goal_object for i, e in claims.items()}
+    return Sight(layout, clouds, estimates, goal_objects, failures, *hidden_space(scene.database.frames, clouds))
 
 
 def correct(before: Sight, now: Sight) -> Sight:
@@ -95,13 +124,15 @@ def correct(before: Sight, now: Sight) -> Sight:
     was = np.array([item.footprint.center for item in before.layout.items]).reshape(-1, 2)
     is_now = np.array([item.footprint.center for item in now.layout.items]).reshape(-1, 2)
     distances = np.linalg.norm(was[:, None] - is_now[None], axis=2)
-    items, clouds = list(before.layout.items), dict(before.clouds)
+    items, clouds, hidden = list(before.layout.items), dict(before.clouds), dict(before.hidden)
     for i, j in zip(*linear_sum_assignment(distances), strict=True):
         if distances[i, j] <= _SAME_OBJECT_M:
             seen = now.layout.items[j]
             items[i] = replace(seen, object=items[i].object)
             clouds[items[i].object] = now.clouds[seen.object]
-    return replace(before, layout=replace(before.layout, items=tuple(items)), clouds=clouds)
+            hidden[items[i].object] = now.hidden[seen.object]
+    layout = replace(before.layout, items=tuple(items))
+    return replace(before, layout=layout, clouds=clouds, hidden=hidden, unknown=now.unknown)
 
 
 def _sureness(estimate: PoseEstimate) -> float:

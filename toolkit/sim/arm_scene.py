@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from roboplan.core import (
     JointConfiguration,
     JointPath,
     Mesh,
+    OcTree,
     PathShortcutter,
     PathShortcuttingOptions,
     PinocchioSceneDescription,
@@ -26,7 +28,7 @@ from roboplan.rrt import RRT, RRTOptions
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
 from toolkit.sim.bullet import silence
-from toolkit.types import ArmWorld, Float, Shape
+from toolkit.types import ArmWorld, Cubes, Float, Shape
 
 _GROUP = "arm"
 _ROOT = "universe"
@@ -35,7 +37,7 @@ _GREY = np.array([0.5, 0.5, 0.5, 1.0])
 
 
 class ArmScene:
-    """One arm among things of given shapes, which can be placed anew.
+    """One arm among things, which can be placed anew and exchanged.
 
     Args:
         world: the arm and the things.
@@ -47,23 +49,23 @@ class ArmScene:
     """
 
     def __init__(self, world: ArmWorld, lower: Float, upper: Float) -> None:
-        self._shapes = _shapes(world, lower, upper)
+        self._robot = _robot(world, lower, upper)
         self._arm = list(world.arm)
         self._scene = Scene(_GROUP, _description(_with_limits(world, lower, upper)))
         self._scene.addGroup(_GROUP, self._arm)
-        for solid in world.solids:
-            self._scene.addMeshGeometry(solid.name, _ROOT, _mesh(solid.shape), np.eye(4), _GREY)
+        self._shapes: dict[str, Shape | Cubes] = {}
         self._shaped: dict[str, bool] = {}
         self._fixed_to = _fixed_links(world.urdf)
         self._off: set[tuple[str, str]] = set()
         self.arrange(world)
 
     def shows(self, world: ArmWorld, lower: Float, upper: Float) -> bool:
-        """Say whether a world has the same arm and things of the same shapes, so that `arrange` is enough."""
-        return self._shapes == _shapes(world, lower, upper)
+        """Say whether a world has the same arm, so that `arrange` is enough."""
+        return self._robot == _robot(world, lower, upper)
 
     def arrange(self, world: ArmWorld) -> None:
-        """Put the things, and the joints that do not move, where they are in a world of the same shapes."""
+        """Put the things, and the joints that do not move, where they are in a world of the same arm."""
+        self._exchange({solid.name: solid.shape for solid in world.solids})
         T_base_world = invert(world.T_world_base)
         for solid in world.solids:
             self._scene.updateGeometryPlacement(solid.name, _ROOT, _array(T_base_world @ solid.pose))
@@ -74,6 +76,23 @@ class ArmScene:
         full = self._scene.getCurrentJointPositions()
         full[self._scene.getJointPositionIndices(list(world.others))] = list(world.others.values())
         self._scene.setJointPositions(full)
+
+    def _exchange(self, shapes: Mapping[str, Shape | Cubes]) -> None:
+        """Take out the things that are gone or look different now, and bring in those that are new."""
+        for name in [name for name, shape in self._shapes.items() if shapes.get(name) is not shape]:
+            self._scene.removeGeometry(name)
+            del self._shapes[name]
+            self._off = {pair for pair in self._off if name not in pair}
+        for name in shapes.keys() - self._shapes.keys():
+            self._shaped.pop(name, None)
+        for name, shape in shapes.items():
+            if name in self._shapes:
+                continue
+            if isinstance(shape, Cubes):
+                self._scene.addOcTreeGeometry(name, _ROOT, _octree(shape), np.eye(4), _GREY)
+            else:
+                self._scene.addMeshGeometry(name, _ROOT, _mesh(shape), np.eye(4), _GREY)
+            self._shapes[name] = shape
 
     def _hang(self, name: str, link: str, T_link_solid: Float) -> None:
         """Let a link carry a thing.
@@ -148,10 +167,9 @@ class ArmScene:
         return np.array(PathShortcutter(self._scene, options).shortcut(given).positions)
 
 
-def _shapes(world: ArmWorld, lower: Float, upper: Float) -> tuple[object, ...]:
+def _robot(world: ArmWorld, lower: Float, upper: Float) -> tuple[object, ...]:
     """What a scene is built of."""
-    solids = tuple((solid.name, solid.shape) for solid in world.solids)
-    return world.urdf, world.arm, lower.tobytes(), upper.tobytes(), solids
+    return world.urdf, world.arm, lower.tobytes(), upper.tobytes()
 
 
 def _description(urdf: str) -> PinocchioSceneDescription:
@@ -201,3 +219,9 @@ def _mesh(shape: Shape) -> Mesh:
         file = Path(folder) / "shape.stl"
         trimesh.util.concatenate(hulls).export(file)
         return Mesh(file)
+
+
+def _octree(cubes: Cubes) -> OcTree:
+    """RoboPlan takes a box as its middle, its size, how sure it is to be full, and from where on it counts as full."""
+    boxes = np.column_stack([cubes.centers, np.tile([cubes.side, 1.0, 0.5], (len(cubes.cells), 1))])
+    return OcTree(list(boxes), cubes.side)

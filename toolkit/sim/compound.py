@@ -15,15 +15,15 @@ from toolkit.sim.client import Client
 from toolkit.types import Float
 
 
-def add_compound(client: Client, hulls: Sequence[Path], grow: float = 0.0) -> int:
-    """Make one collision shape of convex meshes (OBJ or STL) in a client, grown by some metres; returns its id.
+def add_compound(client: Client, hulls: Sequence[Path]) -> int:
+    """Make one collision shape of convex meshes (OBJ or STL) in a client; returns its id.
 
     PyBullet's own list of shapes ends at 16 and drops the rest without a word; the objects of one OBJ file become
     pieces without such a limit. It keeps what it read by file name, so the name is a new one every time.
     """
     with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
         file = Path(folder) / "compound.obj"
-        file.write_text(_obj_text(tuple(hulls), grow))
+        file.write_text(_obj_text(tuple(hulls)))
         return int(client.createCollisionShape(pybullet.GEOM_MESH, fileName=str(file)))
 
 
@@ -42,13 +42,12 @@ def mass_center(hulls: Sequence[Path]) -> Float:
 
 
 @lru_cache(maxsize=512)
-def _obj_text(hulls: tuple[Path, ...], grow: float) -> str:
+def _obj_text(hulls: tuple[Path, ...]) -> str:
     lines: list[str] = []
     seen = 0
     for number, mesh in enumerate(convex_pieces(hulls)):
         lines.append(f"o piece_{number}")
-        vertices = mesh.vertices + grow * mesh.vertex_normals if grow else mesh.vertices
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices]
         lines += ["f " + " ".join(str(seen + 1 + vertex) for vertex in face) for face in mesh.faces]
         seen += len(mesh.vertices)
     return "\n".join(lines) + "\n"

@@ -43,7 +43,6 @@ class Robot:
         model: what it is.
         T_world_base: (4, 4) where it stands.
         pictures: load its visual meshes too.
-        own_collisions: let PyBullet look for contacts between its own links.
 
     Raises:
         ToolkitError: PyBullet cannot load its description.
@@ -56,12 +55,11 @@ class Robot:
         T_world_base: Float,
         *,
         pictures: bool = False,
-        own_collisions: bool = False,
     ) -> None:
         self._client = client
         self.model = model
+        self.T_world_base = T_world_base
         flags = 0 if pictures else pybullet.URDF_IGNORE_VISUAL_SHAPES
-        flags |= pybullet.URDF_USE_SELF_COLLISION if own_collisions else 0
         with silence(), tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(absolute_text(model.urdf()))

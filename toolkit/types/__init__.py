@@ -4,7 +4,7 @@ Conventions (docs/conventions.md): NumPy arrays, SI units, pixel (0, 0) is the c
 camera axes (x right, y down, z forward), `T_a_b` is the 4x4 that takes points of frame b into frame a.
 """
 
-from toolkit.types.arm import ArmWorld, Shape, Solid
+from toolkit.types.arm import ArmWorld, Cubes, Shape, Solid
 from toolkit.types.arrays import Float, Image, Mask
 from toolkit.types.captures import Capture, ObjectModel, Placed, TrueObject
 from toolkit.types.estimates import Abstention, Ambiguity, Failure, PnPSolution, PoseEstimate, Refined, Status
@@ -21,6 +21,7 @@ __all__ = [
     "Capture",
     "Correspondences",
     "Crop",
+    "Cubes",
     "Failure",
     "Finding",
     "Float",

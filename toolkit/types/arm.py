@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.types.arrays import Float, checked, freeze, require
 
@@ -29,12 +30,37 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
+class Cubes:
+    """Full cubes of a grid that has a corner at the origin. Two are the same only if they are one object.
+
+    Attributes:
+        cells: (N, 3) int64 which ones: cube (i, j, k) begins at (i, j, k) times its side.
+        side: of a cube, metres.
+
+    Raises:
+        ToolkitError: there are no cubes, or a value is not of its shape.
+    """
+
+    cells: NDArray[np.int64]
+    side: float
+
+    def __post_init__(self) -> None:
+        require(len(self.cells) > 0 and self.side > 0, "cubes must be at least one, and have a side")
+        freeze(self, cells=checked(self.cells, (None, 3), np.int64, "the cells"))
+
+    @property
+    def centers(self) -> Float:
+        """(N, 3) their middles, metres."""
+        return (self.cells + 0.5) * self.side
+
+
+@dataclass(frozen=True, eq=False)
 class Solid:
     """A thing that an arm may touch.
 
     Attributes:
         name: unique among what is around an arm, and none of its links' names.
-        shape: what it looks like.
+        shape: what it looks like: convex pieces where that is known, cubes where it was seen.
         pose: (4, 4) where it is: in the world, or in the frame of the link that holds it.
         held_by: the arm's link that carries it; None where it lies still.
 
@@ -43,7 +69,7 @@ class Solid:
     """
 
     name: str
-    shape: Shape
+    shape: Shape | Cubes
     pose: Float
     held_by: str | None = None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -12,6 +13,7 @@ from toolkit.plugin_kit.conformance.kit import Outcome, require, run_check
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
+from toolkit.sim.roboplan import require_roboplan
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import RobotModel
 from toolkit.sim.urdf import require_parts
@@ -31,9 +33,11 @@ def check_robot(model: RobotModel) -> list[Outcome]:
     """Run every check over a robot; one that fails does not keep the others from being run.
 
     Raises:
-        ToolkitError: its files do not belong together: see `require_parts`; or there is no PyBullet to measure with.
+        ToolkitError: its files do not belong together: see `require_parts`; or there is no PyBullet or no RoboPlan to
+            measure with.
     """
     require_pybullet()
+    require_roboplan()
     require_parts(model)
     return [run_check(check, model) for check in CHECKS]
 
@@ -51,10 +55,16 @@ def it_stands_within_its_limits_at_home(model: RobotModel) -> str:
 
 def it_touches_nothing_at_home(model: RobotModel) -> None:
     """Neither itself nor the table it stands on."""
-    with closing(Clearance(model, np.eye(4), ())) as clearance:
-        clearance.arrange((), model.drive[0])
-        hit = clearance.hit(np.array(model.home))
-    require(hit is None, f"at `home` the arm touches {hit}")
+    from toolkit.sim.arm_scene import ArmScene
+
+    with closing(Client()) as client:
+        robot = Robot(client, model, np.eye(4))
+    world = Clearance(robot, 0.0).world()
+    (table,) = world.solids
+    off_the_table = replace(world, allowed=world.allowed.union((table.name, link) for link in robot.names.values()))
+    for around, hit in ((off_the_table, "itself"), (world, table.name)):
+        scene = ArmScene(around, robot.chain.lower, robot.chain.upper)
+        require(scene.free(np.array(model.home)), f"at `home` the arm touches {hit}")
 
 
 def its_gripper_opens_and_closes(model: RobotModel) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from toolkit.data.tabletop import Studio, TabletopScene
-from toolkit.geometry import rotation_angle, rotation_z, transform_points
+from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
 from toolkit.rearrangement.executors.handling.film_set import FilmSet
 from toolkit.rearrangement.executors.handling.mover import Mover
@@ -23,6 +23,7 @@ from toolkit.registry import Plugin, PluginConfig, StageChoice
 from toolkit.sim.bench import Bench, Touch
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
+from toolkit.sim.roboplan import require_roboplan
 from toolkit.sim.robots import RobotModel, find_robot
 from toolkit.sim.urdf import require_parts
 from toolkit.types import Failure, Float, Frame, Image
@@ -51,6 +52,9 @@ class ArmConfig(PluginConfig):
     approach_m: float = Field(
         0.08, gt=0, description="Length of the straight way to a grasp, and of the way back from a place."
     )
+    margin_m: float = Field(
+        0.002, ge=0, description="Everything that the arm must not touch is this much larger than it was seen."
+    )
     off_m: float = Field(
         0.02, gt=0, description="An object that ends further than this from where it was to be put has slipped."
     )
@@ -62,8 +66,9 @@ class ArmConfig(PluginConfig):
 class Arm(Plugin[ArmConfig], Executor):
     """Picks and places with a simulated Gen3 or Panda; it looks through the predefined views.
 
-    Planning knows where things are and what they are shaped like, as the simulator does; grasps come from the seen
-    points alone, and what becomes of them is physics.
+    Planning knows the seen points and nothing else: what nobody saw below or behind them counts as full. What becomes
+    of a plan is physics. Of an object that was lifted, it measures how it lies in the hand, and of one that was let go,
+    where that left it.
     """
 
     stage = "executor"
@@ -77,8 +82,9 @@ class Arm(Plugin[ArmConfig], Executor):
         self._opened = ExitStack()
 
     def check_ready(self) -> None:
-        """Raise ToolkitError unless the simulator, the robot's description and both chosen stages can be had."""
+        """Raise ToolkitError unless simulator, RoboPlan, the robot's description and both chosen stages can be had."""
         require_pybullet()
+        require_roboplan()
         require_parts(self._model)
         for part in self._parts:
             part.check_ready()
@@ -109,11 +115,11 @@ class Arm(Plugin[ArmConfig], Executor):
         self.close()
         self._task = task
         self._moves = self._steps = 0
-        base, hulls = base_pose(self.config), [asset.hulls for asset in task.assets]
+        base = base_pose(self.config)
         bodies = [(asset.hulls, asset.mass_kg) for asset in task.assets]
         with ExitStack() as opened:
             self._bench = opened.enter_context(closing(Bench(self._model, base, bodies, task.current)))
-            self._clearance = opened.enter_context(closing(Clearance(self._model, base, hulls)))
+            self._clearance = Clearance(self._bench.robot, self.config.margin_m)
             self._studio = opened.enter_context(Studio(task, cache_root()))
             self._goal = self._studio.goal()
             fast, slow = (
@@ -148,7 +154,6 @@ class Arm(Plugin[ArmConfig], Executor):
             return
         reach = self._reach()
         self._back_off(reach, None)
-        self._clearance.arrange(self._bench.poses(), self._bench.robot.drive)
         path = reach.free_path(self._bench.target, home)
         if not isinstance(path, Failure):
             self._mover.go_home(path)
@@ -169,8 +174,10 @@ class Arm(Plugin[ArmConfig], Executor):
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self._moves += 1
+        before = self._bench.pose(number)
         failure = self._carry_out(number, request)
-        return Outcome(failure, number, self._bench.seconds - start)
+        moved = self._bench.pose(number) @ invert(before)
+        return Outcome(failure, number, self._bench.seconds - start, moved if self._bench.seconds > start else None)
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)
@@ -184,17 +191,21 @@ class Arm(Plugin[ArmConfig], Executor):
                 return grasps
             reason = f"the object is {100 * wide:.1f} cm wide, the gripper opens {100 * opens:.1f} cm"
             return Failure("executor", reason)
+        self._clearance.see(request.points, request.others)
         reach = self._reach()
         self._back_off(reach, number)
-        poses = self._bench.poses()
-        wanted = request.T_place_pick @ poses[number]
-        way = reach.plan(self._bench.target, number, poses, grasps, request.T_place_pick)
-        failure = way if isinstance(way, Failure) else self._mover.carry_out(way, number, wanted, reach)
-        return failure or self._slipped(self._bench.pose(number), wanted)
+        before = self._bench.pose(number)
+        way = reach.plan(self._bench.target, grasps, request.T_place_pick)
+        if isinstance(way, Failure):
+            return way
+        failure = self._mover.carry_out(way, number, request.T_place_pick, reach)
+        moved = self._bench.pose(number) @ invert(before)
+        self._clearance.see(transform_points(moved, request.points), request.others)
+        return failure or self._slipped(self._bench.pose(number), request.T_place_pick @ before)
 
     def _back_off(self, reach: Reach, number: int | None) -> None:
         """Leave what came to lean on the arm: no path starts in a contact."""
-        self._clearance.arrange(self._bench.poses(), self._bench.robot.drive)
+        self._clearance.arrange(self._bench.robot.drive)
         self._mover.back_off(reach.way_out(self._bench.target), number)
 
     def _reach(self) -> Reach:

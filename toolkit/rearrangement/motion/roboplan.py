@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
 
-from toolkit.errors import ToolkitError
 from toolkit.rearrangement.moves import MotionProblem
 from toolkit.rearrangement.stages import MotionPlanner
 from toolkit.registry import Plugin, PluginConfig
+from toolkit.sim.roboplan import require_roboplan
 from toolkit.types import Failure, Float
 
 if TYPE_CHECKING:
@@ -38,9 +37,7 @@ class Roboplan(Plugin[RoboplanConfig], MotionPlanner):
         self._latest: ArmScene | None = None
 
     def check_ready(self) -> None:
-        # Its packages share one namespace, which is there when any of them is.
-        if any(importlib.util.find_spec(name) is None for name in ("roboplan", "roboplan.rrt")):
-            raise ToolkitError("motion 'roboplan' needs RoboPlan: pip install 'rearrange-toolkit[arm]'")
+        require_roboplan()
 
     def plan(self, problem: MotionProblem, seed: int) -> Float | Failure:
         c, scene = self.config, self._scene(problem)

@@ -40,23 +40,28 @@ class Mover:
         Args:
             way: whose second half is planned anew once it is seen how the object lies in the hand.
             number: the object.
-            wanted: (4, 4) pose to put it down at.
+            wanted: (4, 4) motion from where it is to where it is to be put down.
             reach: what planned the way.
 
         Returns:
             Why the object was not put down at the way's end; None where it was, wherever it then lies.
         """
         bench = self._bench
+        T_object_seen = invert(bench.pose(number))
         bench.grip = bench.robot.drive_for(way.grasp.opening)
         self._follow(way.to_grasp, self._fast, "going to the grasp", None)
         self._follow(way.approach, self._slow, "approaching", number)
-        self._close(number)
+        self.close_on(number)
         in_hand = self._in_hand(number)
         self._follow(way.lift, self._slow, "lifting", number)
         if lost := self._lost(number, in_hand):
             self._put_back(way, number)
             return Failure("executor", f"the object {lost} the gripper while it was lifted")
-        way = reach.adapted(way, number, bench.poses(), self._in_hand(number), wanted)
+        adapted = reach.adapted(way, self._in_hand(number) @ T_object_seen, wanted)
+        if isinstance(adapted, Failure):
+            self._put_back(way, number)
+            return adapted
+        way = adapted
         self._follow(way.transfer, self._fast, "carrying", number)
         if not bench.held(number):
             self._let_go(way, way.lower[0], number)
@@ -77,8 +82,8 @@ class Mover:
         if len(path) > 1:
             self._follow(path, self._slow, "backing off", number)
 
-    def _close(self, number: int) -> None:
-        """Close until the fingers stop, then press."""
+    def close_on(self, number: int) -> None:
+        """Close until the fingers hold an object, then press."""
         bench = self._bench
         opened, closed = bench.robot.model.drive
         pace = (closed - opened) * STEP_S / _GRIP_S

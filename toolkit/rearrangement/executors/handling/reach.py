@@ -8,16 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolkit.geometry import invert
-from toolkit.rearrangement.executors.handling.inverse import Inverse, shifted, steps
+from toolkit.rearrangement.executors.handling.inverse import Inverse, steps
+from toolkit.rearrangement.executors.handling.squeeze import squeezed
 from toolkit.rearrangement.executors.handling.way import Way
 from toolkit.rearrangement.moves import Grasp, MotionProblem
+from toolkit.rearrangement.paths import densify
 from toolkit.rearrangement.stages import MotionPlanner
 from toolkit.sim.clearance import Clearance
 from toolkit.types import Failure, Float
 
 _UP, _LEAST_LIFT_M = np.array([0.0, 0.0, 0.15]), 0.06
+_CLOSING = 3
+"""Places between open and closed at which the fingers are looked at."""
+
 _MOST_SEARCHES = 3
 """Grasps whose free paths are searched for at most."""
+
+_CHECK_RAD = 0.04
+"""Way between two checks of a path that was planned for an object that lay in the hand otherwise."""
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """A gripper turned by this holds the same."""
@@ -50,7 +58,7 @@ class _Landing:
 
 
 class Reach:
-    """Plans ways among objects.
+    """Plans ways among what was seen.
 
     Args:
         clearance: robot and objects, to keep clear of.
@@ -66,30 +74,25 @@ class Reach:
         self._seed = seed
         self._inverse = Inverse(clearance.robot.chain, seed)
 
-    def plan(
-        self, q: Float, number: int, poses: Sequence[Float], grasps: Sequence[Grasp], T_place_pick: Float
-    ) -> Way | Failure:
+    def plan(self, q: Float, grasps: Sequence[Grasp], T_place_pick: Float) -> Way | Failure:
         """The way of the first grasp that works out.
 
         Args:
             q: (J,) where the arm is.
-            number: the object to move.
-            poses: (4, 4) of all objects.
-            grasps: on that object, best first.
+            grasps: on the object, best first.
             T_place_pick: (4, 4) its motion.
         """
-        self._clearance.arrange(poses, self._clearance.robot.drive)
-        if not self._clearance.room(number, T_place_pick @ poses[number]):
+        if not self._clearance.room(T_place_pick):
             return Failure("executor", "another object is in the way where it is to be put")
         furthest, searched = 0, 0
         failure: Failure | None = None
         for grasp in grasps:
             for turn in (np.eye(4), _HALF_TURN):
-                lines = self._lines(q, number, poses, grasp, turn, T_place_pick)
+                lines = self._lines(q, grasp, turn, T_place_pick)
                 if isinstance(lines, int):
                     furthest = max(furthest, lines)
                     continue
-                way = self._join(q, number, poses, grasp, lines)
+                way = self._join(q, grasp, lines)
                 if isinstance(way, Way):
                     return way
                 failure, searched = way, searched + 1
@@ -97,41 +100,47 @@ class Reach:
                     return failure
         return failure or Failure("executor", _REASONS[furthest])
 
-    def _lines(
-        self, q: Float, number: int, poses: Sequence[Float], grasp: Grasp, turn: Float, T_place_pick: Float
-    ) -> _Lines | int:
+    def _lines(self, q: Float, grasp: Grasp, turn: Float, T_place_pick: Float) -> _Lines | int:
         """The straight parts; where they do not work out, how far they came, as an index into `_REASONS`."""
         clearance, robot = self._clearance, self._clearance.robot
         hand = grasp.T_world_gripper @ turn @ invert(robot.T_hand_tips(grasp.closed))
-        wanted = T_place_pick @ poses[number]
-        drive = robot.drive_for(grasp.opening)
         at_grasps = self._inverse.solve(hand, q)[:3]
         if at_grasps and not self._inverse.solve(T_place_pick @ hand, q):
             return 2
-        closing = hand[:3, :3] @ robot.model.R_hand_gripper[:, 0]
-        if at_grasps and not self._can_be_centred(number, poses, grasp.spare * closing):
+        if at_grasps and not self._can_be_squeezed(grasp):
             return 1
         furthest = 0
         for at_grasp in at_grasps:
-            clearance.arrange(poses, drive)
-            clearance.approach(number)
             furthest = max(furthest, 1)
-            approach = self._inverse.line(at_grasp, self._back(hand)) if clearance.free(at_grasp) else None
-            if approach is None or not all(map(clearance.free, approach)):
+            approach = self._inverse.line(at_grasp, self._back(hand))
+            if approach is None or not self._comes(approach, grasp):
                 continue
-            in_hand = clearance.object_in_hand(at_grasp, poses[number])
-            clearance.carry(number, in_hand)
+            in_hand = clearance.in_hand(at_grasp)
+            clearance.carry(in_hand)
             lift = self._rise(at_grasp, _UP)
             if lift is None:
                 continue
-            landing = self._land(number, in_hand, wanted, lift[-1], drive)
+            landing = self._land(in_hand, T_place_pick, lift[-1], grasp)
             if not isinstance(landing, int):
                 count = min(len(lift), len(landing.lower))
                 return _Lines(approach[::-1], lift[:count], landing.lower[:count][::-1], landing.retreat)
             furthest = max(furthest, landing)
         return furthest
 
-    def _land(self, number: int, in_hand: Float, wanted: Float, near: Float, drive: float) -> _Landing | int:
+    def _comes(self, approach: Float, grasp: Grasp) -> bool:
+        """Say whether the opened hand gets to a grasp on an (N, J) way back from it, and can close there."""
+        clearance, robot = self._clearance, self._clearance.robot
+        clearance.arrange(robot.drive_for(grasp.opening))
+        clearance.approach()
+        if not all(map(clearance.free, approach)):
+            return False
+        for opening in np.linspace(grasp.opening, grasp.closed, _CLOSING + 1)[1:]:
+            clearance.put(np.eye(4), robot.drive_for(float(opening)), held=True)
+            if not clearance.free(approach[0]):
+                return False
+        return True
+
+    def _land(self, in_hand: Float, wanted: Float, near: Float, grasp: Grasp) -> _Landing | int:
         """How an object at a (4, 4) pose in the hand is put down at a pose `wanted`; else an index into `_REASONS`."""
         hand = wanted @ invert(in_hand)
         furthest = 2
@@ -140,9 +149,9 @@ class Reach:
             if retreat is None:
                 continue
             furthest = 3
-            self._clearance.carry(number, in_hand)
+            self._clearance.carry(in_hand)
             lower = self._rise(at_place, _UP)
-            if lower is not None and self._leaves(number, wanted, retreat, drive):
+            if lower is not None and self._leaves(wanted, retreat, grasp):
                 return _Landing(lower, retreat)
         return furthest
 
@@ -158,57 +167,61 @@ class Reach:
         clear = next((i for i, q in enumerate(path[1:], 1) if not self._clearance.free(q)), len(path))
         return path[:clear] if clear > steps(_LEAST_LIFT_M) else None
 
-    def _can_be_centred(self, number: int, poses: Sequence[Float], spare: Float) -> bool:
-        """Say whether the finger that comes first may push the object by (3,), either way, without pushing others."""
-        self._clearance.arrange(poses, self._clearance.robot.drive)
-        return all(self._clearance.room(number, shifted(poses[number], by)) for by in (spare, -spare))
+    def _can_be_squeezed(self, grasp: Grasp) -> bool:
+        """Say whether the fingers may close on the object without pushing it against others."""
+        clearance = self._clearance
+        motions = squeezed(clearance.points, grasp, clearance.robot.model.gripper)
+        return all(map(clearance.room, motions))
 
-    def _leaves(self, number: int, wanted: Float, retreat: Float, drive: float) -> bool:
-        """Say whether the opened hand gets away from the object where it was put."""
-        held = self._clearance.robot.drive
-        self._clearance.robot.set_drive(drive)
-        self._clearance.put(number, wanted)
-        leaves = all(map(self._clearance.free, retreat))
-        self._clearance.robot.set_drive(held)
-        return leaves
+    def _leaves(self, wanted: Float, retreat: Float, grasp: Grasp) -> bool:
+        """Say whether the opened hand gets away from the object where it was put, without taking it along."""
+        clearance, drive = self._clearance, self._clearance.robot.drive_for(grasp.opening)
+        clearance.put(wanted, drive, held=True)
+        if not clearance.free(retreat[0]):
+            return False
+        clearance.put(wanted, drive, held=False)
+        return all(map(clearance.free, retreat[1:]))
 
-    def _join(self, q: Float, number: int, poses: Sequence[Float], grasp: Grasp, lines: _Lines) -> Way | Failure:
+    def _join(self, q: Float, grasp: Grasp, lines: _Lines) -> Way | Failure:
         """Free paths to the straight parts, and between them."""
         clearance = self._clearance
-        clearance.arrange(poses, clearance.robot.drive_for(grasp.opening))
+        clearance.arrange(clearance.robot.drive_for(grasp.opening))
         to_grasp = self.free_path(q, lines.approach[0])
         if isinstance(to_grasp, Failure):
             return to_grasp
-        clearance.carry(number, clearance.object_in_hand(lines.lift[0], poses[number]), lowest=0.005)
+        clearance.carry(clearance.in_hand(lines.lift[0]), over_table=True)
         transfer = self.free_path(lines.lift[-1], lines.lower[0])
         if isinstance(transfer, Failure):
             return transfer
         return Way(grasp, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
 
-    def adapted(self, way: Way, number: int, poses: Sequence[Float], in_hand: Float, wanted: Float) -> Way:
+    def adapted(self, way: Way, in_hand: Float, wanted: Float) -> Way | Failure:
         """Plan the second half of a way anew, for an object that lies in the hand otherwise than planned.
 
         Args:
             way: carried out up to its lift.
-            number: the object.
-            poses: (4, 4) of all objects.
-            in_hand: (4, 4) pose of the object in the hand's frame.
-            wanted: (4, 4) pose to put it down at.
+            in_hand: (4, 4) takes the world's points of the object, where it was seen, into the hand's frame.
+            wanted: (4, 4) motion from where it was seen to where it is to be put.
 
         Returns:
-            The way with its new second half; the way as it was where no better one is found.
+            The way with its new second half; the way as it was where no better one is found and nothing is touched on
+            it; else a Failure.
         """
-        robot = self._clearance.robot
-        self._clearance.arrange(poses, robot.drive_for(way.grasp.closed))
-        landing = self._land(number, in_hand, wanted, way.lower[-1], robot.drive_for(way.grasp.opening))
-        if isinstance(landing, int):
+        clearance = self._clearance
+        clearance.arrange(clearance.robot.drive_for(way.grasp.closed))
+        landing = self._land(in_hand, wanted, way.lower[-1], way.grasp)
+        if not isinstance(landing, int):
+            lower = landing.lower[: len(way.lift)][::-1]
+            clearance.carry(in_hand, over_table=True)
+            transfer = self.free_path(way.lift[-1], lower[0])
+            if not isinstance(transfer, Failure):
+                return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
+        clearance.carry(in_hand)
+        if all(map(clearance.free, np.concatenate([densify(way.transfer, _CHECK_RAD), way.lower]))):
             return way
-        self._clearance.carry(number, in_hand, lowest=0.005)
-        lower = landing.lower[: len(way.lift)][::-1]
-        transfer = self.free_path(way.lift[-1], lower[0])
-        if isinstance(transfer, Failure):
-            return way
-        return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
+        return Failure(
+            "executor", "as the object lies in the gripper, it would touch something on the way to its place"
+        )
 
     def way_out(self, q: Float) -> Float:
         """(N, J) straight back along the gripper's axis to where nothing is touched, among objects as arranged.

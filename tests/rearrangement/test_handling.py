@@ -1,0 +1,178 @@
+"""What happens to an object between fingers that close, and space that no camera saw into."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from toolkit.geometry import invert, look_at, make_transform, rotation_z, transform_points
+from toolkit.rearrangement.executors.handling.mover import Mover
+from toolkit.rearrangement.executors.handling.reach import Reach
+from toolkit.rearrangement.executors.handling.squeeze import squeezed
+from toolkit.rearrangement.executors.handling.way import Way
+from toolkit.rearrangement.hidden import hidden_space
+from toolkit.rearrangement.moves import Grasp
+from toolkit.sim.bench import Bench
+from toolkit.sim.clearance import Clearance
+from toolkit.sim.client import Client
+from toolkit.sim.robot import Robot
+from toolkit.sim.robots import ROBOTS
+from toolkit.stages import MOTION_PLANNERS
+from toolkit.types import Camera, Failure, Frame
+
+GRIPPER = ROBOTS["gen3"].gripper
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def bar(angle):
+    """(N, 3) a bar of 30 x 2 x 3 cm on the table, along y but for `angle` radians, with its middle at (0.4, 0.1)."""
+    x, y, z = np.meshgrid(np.linspace(-0.01, 0.01, 11), np.linspace(-0.15, 0.15, 151), np.linspace(0, 0.03, 16))
+    inside = (np.abs(x) < 0.01) & (z < 0.03)
+    points = np.stack([x[~inside], y[~inside], z[~inside]], axis=1)
+    return transform_points(rotation_z(angle), points) + np.array([0.4, 0.1, 0])
+
+
+def grasp(yaw):
+    """From above, on the bar's middle, closing along x but for `yaw` radians."""
+    T = rotation_z(yaw) @ make_transform(DOWN, np.zeros(3))
+    T[:3, 3] = [0.4, 0.1, 0.01]
+    return Grasp(T, 0.035, 0.0075, 1.0)
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
+def test_fingers_turn_a_bar_until_it_lies_along_them(off, yaw):
+    turns = [np.arctan2(T[1, 0], T[0, 0]) for T in squeezed(bar(off + yaw), grasp(yaw), GRIPPER)]
+    # A bar that is nearly along them is held as it is, by friction.
+    assert abs(max(turns, key=abs) + off) < np.radians(2.5)
+    assert all(min(0, -off) - 0.05 < turn < max(0, -off) + 0.05 for turn in turns)
+
+
+def test_fingers_push_either_way_about_the_grasp_and_never_off_the_table():
+    motions = squeezed(bar(0.1), grasp(0.0), GRIPPER)
+    at = grasp(0.0).T_world_gripper[:3, 3]
+    shifts = sorted(round(float((transform_points(T, at) - at)[0]), 6) for T in motions)
+    assert shifts[0] == -0.0075 and shifts[-1] == 0.0075
+    for T in motions:
+        np.testing.assert_allclose(T[2], [0, 0, 1, 0], atol=1e-12)
+
+
+def test_what_is_round_is_not_turned():
+    angles = np.linspace(0, 2 * np.pi, 400)
+    can = np.concatenate(
+        [
+            np.stack([0.4 + 0.01 * np.cos(angles), 0.1 + 0.01 * np.sin(angles), 0 * angles + z], 1)
+            for z in np.linspace(0, 0.02, 5)
+        ]
+    )
+    for T in squeezed(can, grasp(0.3), GRIPPER):
+        np.testing.assert_allclose(T[:3, :3], np.eye(3), atol=1e-12)
+
+
+PANDA = ROBOTS["panda"]
+
+
+def at_grasp(robot, held):
+    """(J,) angles of a Panda whose fingers are around what a grasp holds."""
+    hand = held.T_world_gripper @ invert(robot.T_hand_tips(held.closed))
+    return robot.chain.solve(hand, np.array(PANDA.home)[None])[0]
+
+
+@pytest.mark.parametrize("off", [0.1, -0.15])
+def test_fingers_turn_a_bar_as_was_foreseen(off, tmp_path):
+    """With friction and contacts, in the simulator."""
+    file = tmp_path / "bar.obj"
+    trimesh.creation.box([0.02, 0.3, 0.03]).export(file)
+    pose = rotation_z(off)
+    pose[:3, 3] = [0.4, 0.1, 0.015]
+    with closing(Bench(PANDA, np.eye(4), [([file], 0.2)], [pose])) as bench:
+        held = grasp(0.0)
+        bench.target = at_grasp(bench.robot, held)
+        bench.grip = bench.robot.drive_for(held.opening)
+        bench.robot.set(bench.target)
+        bench.robot.set_drive(bench.grip)
+        bench.wait(0.1, "settling", 0)
+        before = bench.pose(0)
+        Mover(bench, 1.0, 1.0).close_on(0)
+        motion = bench.pose(0) @ invert(before)
+    turned = np.arctan2(motion[1, 0], motion[0, 0])
+    foreseen = squeezed(bar(off), held, PANDA.gripper)[-1]
+    assert abs(turned - np.arctan2(foreseen[1, 0], foreseen[0, 0])) < np.radians(2)
+    assert abs(turned) > np.radians(4)
+
+
+def test_a_bar_is_not_turned_against_its_neighbour():
+    """A post beside the bar's end, on the side to which closing fingers turn it, and on the other."""
+    with closing(Client()) as client:
+        clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
+    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), approach_m=0.08, seed=0)
+    lies = bar(0.15)  # its far end points to smaller x, and is turned to larger x
+    far_end = lies[lies[:, 1].argmax()]
+    ways = {}
+    for side in (0.035, -0.045):
+        post = far_end + np.array([side, 0, 0]) + np.random.default_rng(0).uniform(-0.008, 0.008, (500, 3))
+        clearance.see(lies, post)
+        ways[side] = reach.plan(np.array(PANDA.home), [grasp(0.0)], make_transform(np.eye(3), np.array([0, -0.05, 0])))
+    assert isinstance(ways[-0.045], Way)
+    assert isinstance(ways[0.035], Failure) and "no straight way leads to any grasp" in ways[0.035].reason
+
+
+CAMERA_K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
+
+
+def frame(eye, box):
+    """What a camera at `eye` measures of a box (its two corners) on a table."""
+    T = look_at(np.array(eye), np.zeros(3))
+    v, u = np.mgrid[0:240, 0:320]
+    rays = np.stack([(u - 160) / 300, (v - 120) / 300, np.ones_like(u)], axis=-1).reshape(-1, 3) @ T[:3, :3].T
+    with np.errstate(divide="ignore"):
+        depth = np.where(rays[:, 2] < 0, -T[2, 3] / rays[:, 2], 0.0)
+    with np.errstate(divide="ignore"):
+        bounds = np.sort((np.array(box)[:, None] - T[:3, 3]) / rays[None], axis=0)
+    near, far = bounds[0].max(axis=1), bounds[1].min(axis=1)
+    depth = np.where((near < far) & (near > 0), near, depth)
+    return Frame(0, np.zeros((240, 320, 3), np.uint8), Camera(CAMERA_K, T, 320, 240), depth.reshape(240, 320))
+
+
+BOX = (np.array([-0.05, -0.05, 0.0]), np.array([0.05, 0.05, 0.1]))
+RING = [(0.7 * np.cos(a), 0.7 * np.sin(a), 0.5) for a in np.arange(8) * np.pi / 4]
+
+
+def box_cloud():
+    """(N, 3) the box's surface."""
+    grid = np.stack(np.meshgrid(*[np.linspace(a, b, 41) for a, b in zip(*BOX, strict=True)]), axis=-1).reshape(-1, 3)
+    return grid[((grid == BOX[0]) | (grid == BOX[1])).any(axis=1)]
+
+
+def test_from_all_around_only_the_inside_is_hidden():
+    hidden, elsewhere = hidden_space([frame(eye, BOX) for eye in RING], {4: box_cloud()})
+    assert set(hidden) == {4} and len(elsewhere) == 0
+    inside = ((hidden[4] > BOX[0] - 0.005) & (hidden[4] < BOX[1] + 0.005)).all(axis=1)
+    assert inside.all()
+    assert len(hidden[4]) > 300
+
+
+def test_from_one_side_what_is_behind_is_hidden_and_what_is_in_front_is_not():
+    hidden, elsewhere = hidden_space([frame((0.0, -0.8, 0.3), BOX)], {4: box_cloud()})
+    full = np.concatenate([hidden[4], elsewhere])
+    assert (full[:, 1] > BOX[0][1]).all()
+    assert ((full[:, 1] > 0.1) & (full[:, 2] < 0.05) & (np.abs(full[:, 0]) < 0.03)).sum() > 50
+    both, _ = hidden_space([frame((0.0, -0.8, 0.3), BOX), frame((0.0, 0.8, 0.3), BOX)], {4: box_cloud()})
+    assert (np.abs(both[4][:, 1]) < 0.06).all()
+
+
+def test_a_thing_that_is_no_instance_is_hidden_space_of_none():
+    away = (np.array([0.1, -0.02, 0.0]), np.array([0.16, 0.02, 0.1]))
+    cloud = box_cloud() - np.array([0.1, 0, 0])
+    hidden, elsewhere = hidden_space([frame(eye, away) for eye in RING], {0: cloud})
+    assert len(hidden[0]) == 0
+    assert ((elsewhere > away[0] - 0.005) & (elsewhere < away[1] + 0.005)).all() and len(elsewhere) > 50
+
+
+def test_where_nothing_was_found_nothing_is_hidden():
+    hidden, elsewhere = hidden_space([frame(RING[0], BOX)], {})
+    assert hidden == {} and elsewhere.shape == (0, 3)

@@ -1,0 +1,53 @@
+"""Seen points as full cubes: all that an arm knows of what it must keep clear of."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.geometry import CUBE_STEPS
+from toolkit.types import Cubes, Float
+
+
+def around(points: Float, side: float, margin: float = 0.0) -> Cubes:
+    """The cubes of a side that hold (N, 3) points, N > 0, and what lies within `margin` metres along the axes."""
+    margins = margin * np.array(list(product((-1, 0, 1), repeat=3))) if margin else np.zeros((1, 3))
+    return Cubes(_distinct(np.concatenate([_cells(points + by, side) for by in margins])), side)
+
+
+def standing(cubes: Cubes, floor: float = 0.0) -> Cubes:
+    """The cubes with all those that lie between them and a table at height `floor`: nobody saw that they are empty."""
+    top, bottom = cubes.cells[:, 2], int(np.floor(floor / cubes.side))
+    by_column = np.lexsort((top, cubes.cells[:, 1], cubes.cells[:, 0]))
+    ordered = cubes.cells[by_column]
+    last = np.append((np.diff(ordered[:, :2], axis=0) != 0).any(axis=1), True)
+    highest = ordered[last]
+    heights = np.maximum(highest[:, 2] - bottom + 1, 1)
+    cells = np.repeat(highest, heights, axis=0)
+    cells[:, 2] -= np.arange(len(cells)) - np.repeat(np.cumsum(heights) - heights, heights)
+    return Cubes(cells, cubes.side)
+
+
+def without(cubes: Cubes, other: Cubes) -> Cubes | None:
+    """The cubes that `other`, of the same side, does not have; None where none are left."""
+    kept = cubes.cells[~np.isin(_numbers(cubes.cells), _numbers(other.cells))]
+    return Cubes(kept, cubes.side) if len(kept) else None
+
+
+def any_inside(cubes: Cubes, points: Float) -> bool:
+    """Say whether any of (N, 3) points lies in a cube."""
+    return bool(np.isin(_numbers(_cells(points, cubes.side)), _numbers(cubes.cells)).any())
+
+
+def _cells(points: Float, side: float) -> NDArray[np.int64]:
+    return np.floor(np.asarray(points, np.float64) / side).astype(np.int64)
+
+
+def _numbers(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    return cells @ np.array(CUBE_STEPS)
+
+
+def _distinct(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    return cells[np.unique(_numbers(cells), return_index=True)[1]]
