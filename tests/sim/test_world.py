@@ -95,3 +95,15 @@ def _quad(folder, color):
     lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "vn 0 0 1", "f 1/1/1 2/2/1 3/3/1", "f 1/1/1 3/3/1 4/4/1"]
     (folder / "textured.obj").write_text("\n".join(lines) + "\n")
     return folder / "textured.obj", folder / "texture.png"
+
+
+@pytest.mark.parametrize("renderer", ["tiny", pytest.param("egl", marks=NO_EGL)])
+def test_a_mesh_whose_material_names_a_picture_that_is_not_there_prints_nothing(renderer, tmp_path, capfd):
+    (tmp_path / "mesh.mtl").write_text("newmtl one\nmap_Kd elsewhere.jpg\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "mesh.obj").write_text(f"mtllib mesh.mtl\nusemtl one\n{corners}f 1/1 2/2 3/3\n")
+    cv2.imwrite(str(tmp_path / "picture.png"), np.zeros((4, 4, 3), np.uint8))
+    with World(renderer) as world:
+        capfd.readouterr()
+        world.add_visuals([(tmp_path / "mesh.obj", tmp_path / "picture.png")])
+        assert capfd.readouterr() == ("", "")

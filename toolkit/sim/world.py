@@ -78,13 +78,14 @@ class World:
         To be called once, before anything else is added: with EGL, a mesh whose own material names an image takes a
         texture number that a later loadTexture does not count, and the textures of all later meshes are mixed up.
         """
-        textures = [self.client.loadTexture(str(texture)) for _, texture in visuals]
         bodies: list[int] = []
-        for (mesh, _), texture in zip(visuals, textures, strict=True):
-            shape = self.client.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0])
-            body = int(self.client.createMultiBody(0, -1, shape))
-            self.client.changeVisualShape(body, BASE, textureUniqueId=texture)
-            bodies.append(body)
+        with silence():  # about pictures that a mesh's own material names, and that are not needed
+            textures = [self.client.loadTexture(str(texture)) for _, texture in visuals]
+            for (mesh, _), texture in zip(visuals, textures, strict=True):
+                shape = self.client.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), specularColor=[0, 0, 0])
+                body = int(self.client.createMultiBody(0, -1, shape))
+                self.client.changeVisualShape(body, BASE, textureUniqueId=texture)
+                bodies.append(body)
         return bodies
 
     def move_all(self, bodies: Sequence[int], poses: Sequence[Float]) -> None:
