@@ -88,9 +88,12 @@ class Heard(Progress):
         self.lines.append(text)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def folder(tmp_path_factory):
-    """An experiment file that names its plugin, and nothing by an absolute path."""
+    """An experiment file that names its plugin, and nothing by an absolute path.
+
+    One for the session: with work stealing, a module's tests may come in two parts, and a plugin has one file.
+    """
     folder = tmp_path_factory.mktemp("experiment")
     (folder / "mortal.py").write_text(MORTAL)
     data = {
@@ -104,7 +107,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def reference(folder):
     """The run of this process alone. The flag is a relative path: workers must find it all the same."""
     before = Path.cwd()
@@ -338,7 +341,7 @@ def test_the_command_line_goes_to_a_cluster_by_its_address(folder, reference, tm
 # Shards
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shards(folder, reference, tmp_path_factory):
     """Both halves of the experiment, and the whole of it."""
     out = tmp_path_factory.mktemp("shards")

@@ -10,9 +10,10 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -76,16 +77,26 @@ class ProcessWorkers:
     ) -> Iterator[tuple[int, ResultT]]:
         """Results as they come, with the numbers of their tasks; fewer than tasks where a process is lost."""
         pool = self._start()
-        numbers: dict[Future[ResultT], int] = {}
-        try:
+        running: dict[Future[ResultT], int] = {}
+        waiting = iter(list(tasks.items()))
+
+        def submit() -> None:
+            # No more than there are processes. A task that nobody takes may lie half in a pipe, and pools of an older
+            # CPython, 3.11.2 among them, never end where their processes do meanwhile (python/cpython#94777).
             with suppress(BrokenProcessPool):
-                for number, task in tasks.items():
-                    numbers[pool.submit(call, self._prepare, function, task)] = number
-            for future in as_completed(numbers):
-                if not isinstance(future.exception(), BrokenProcessPool):
-                    yield numbers[future], future.result()
+                for number, task in islice(waiting, self._count - len(running)):
+                    running[pool.submit(call, self._prepare, function, task)] = number
+
+        submit()
+        try:
+            while running:
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    number = running.pop(future)
+                    submit()
+                    if not isinstance(future.exception(), BrokenProcessPool):
+                        yield number, future.result()
         finally:
-            for future in numbers:
+            for future in running:
                 future.cancel()
 
     def _start(self) -> ProcessPoolExecutor:
@@ -108,12 +119,12 @@ class ProcessWorkers:
 def _hold(line: Connection) -> None:
     """End this process when the main one lets go of the line, also by being killed."""
 
-    def wait() -> None:
+    def end_with_it() -> None:
         with suppress(EOFError, OSError):
             line.recv_bytes()
         os._exit(1)
 
-    threading.Thread(target=wait, daemon=True).start()
+    threading.Thread(target=end_with_it, daemon=True).start()
 
 
 class _Process(SpawnProcess):
