@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from toolkit.rearrangement.bits import bits
 from toolkit.rearrangement.feedback import feedback_vertex_set
 from toolkit.rearrangement.footprints import gaps, supports
 from toolkit.rearrangement.moves import Item, Layout
@@ -37,7 +38,7 @@ class Dependencies:
         blocking = 0
         for row in self.leave_first:
             blocking |= row
-        return tuple(j for j in range(len(self.leave_first)) if blocking >> j & 1 and j not in self.wanted)
+        return tuple(j for j in bits(blocking) if j not in self.wanted)
 
     def moves(self, twice: int) -> int:
         """Moves it takes when so many wanted items move twice."""

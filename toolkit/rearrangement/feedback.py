@@ -6,11 +6,13 @@ J. Algorithms 1988, with disjoint cycles as the bound. Vertices are bits, graphs
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
+
+from toolkit.rearrangement.bits import bits
 
 EXACT_UP_TO = 15
 """Components of this many vertices are always solved exactly; larger ones within the budget."""
@@ -54,18 +56,11 @@ def is_acyclic(successors: Sequence[int], vertices: int) -> bool:
     """Say whether the graph has no cycle among `vertices` (bits)."""
     remaining = vertices
     while remaining:
-        sinks = sum(1 << v for v in _bits(remaining) if not successors[v] & remaining)
+        sinks = sum(1 << v for v in bits(remaining) if not successors[v] & remaining)
         if not sinks:
             return False
         remaining &= ~sinks
     return True
-
-
-def _bits(mask: int) -> Iterator[int]:
-    while mask:
-        lowest = mask & -mask
-        yield lowest.bit_length() - 1
-        mask ^= lowest
 
 
 def _components(successors: Sequence[int]) -> list[int]:
@@ -98,9 +93,9 @@ class _Graph:
     def remove(self, v: int) -> None:
         """Take a vertex out with its edges."""
         clear = ~(1 << v)
-        for u in _bits(self.predecessors[v] & clear):
+        for u in bits(self.predecessors[v] & clear):
             self.successors[u] &= clear
-        for w in _bits(self.successors[v] & clear):
+        for w in bits(self.successors[v] & clear):
             self.predecessors[w] &= clear
         self.successors[v] = self.predecessors[v] = 0
         self.alive &= clear
@@ -114,9 +109,9 @@ class _Graph:
         if before >> v & 1:
             return
         self.remove(v)
-        for u in _bits(before):
+        for u in bits(before):
             self.successors[u] |= after
-        for w in _bits(after):
+        for w in bits(after):
             self.predecessors[w] |= before
 
     def reduce(self) -> list[int]:
@@ -125,7 +120,7 @@ class _Graph:
         changed = True
         while changed:
             changed = False
-            for v in _bits(self.alive):
+            for v in bits(self.alive):
                 before, after = self.predecessors[v], self.successors[v]
                 if before >> v & 1:
                     chosen.append(v)
@@ -144,7 +139,7 @@ class _Graph:
         graph = self.copy()
         count = len(graph.reduce())
         while graph.alive:
-            for v in _bits(graph.shortest_cycle()):
+            for v in bits(graph.shortest_cycle()):
                 graph.remove(v)
             count += 1 + len(graph.reduce())
         return count
@@ -152,13 +147,13 @@ class _Graph:
     def shortest_cycle(self) -> int:
         """Vertices of a shortest cycle as bits. A reduced graph that is not empty has one."""
         best = 0
-        for v in _bits(self.alive):
+        for v in bits(self.alive):
             limit = best.bit_count() or len(self.successors) + 1
             layers = [1 << v]
             seen = 0
             while layers[-1] and len(layers) < limit:
                 reached = 0
-                for u in _bits(layers[-1]):
+                for u in bits(layers[-1]):
                     reached |= self.successors[u]
                 if reached >> v & 1:
                     best = self._trace(v, layers)
@@ -204,7 +199,7 @@ class _Search:
             return
         self._branches += 1
         v = max(
-            _bits(graph.alive),
+            bits(graph.alive),
             key=lambda u: graph.successors[u].bit_count() * graph.predecessors[u].bit_count(),
         )
         without = graph.copy()

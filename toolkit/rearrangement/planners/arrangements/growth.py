@@ -9,9 +9,10 @@ from itertools import count
 
 import numpy as np
 
+from toolkit.rearrangement.bits import bits
 from toolkit.rearrangement.dependencies import screen
 from toolkit.rearrangement.moves import Layout, Solution
-from toolkit.rearrangement.planners.arrangements.table import Arrangement, Step, Table, bits
+from toolkit.rearrangement.planners.arrangements.table import Arrangement, Step, Table
 from toolkit.types import Failure
 
 Expand = Callable[[Arrangement], list[Step]]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolkit.rearrangement.bits import any_bit, bits
 from toolkit.rearrangement.planners.arrangements.growth import grow
 from toolkit.rearrangement.planners.arrangements.running import fewest_running
-from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit, bits
+from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table
 
 _TRIES = 20
 """Times that all places are drawn anew where one is taken."""
-
 
 _ORDERS = 5
 _TREES = 3

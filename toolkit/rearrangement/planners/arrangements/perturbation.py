@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolkit.rearrangement.bits import any_bit, bits
 from toolkit.rearrangement.planners.arrangements.growth import grow
-from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit, bits
+from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table
 
 
 def monotone(table: Table, arrangement: Arrangement) -> list[Step]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from toolkit.rearrangement.bits import bits
+
 EXPANSIONS = 2000
 """Sets of items at their goals from which a search for so many buffers goes on, before it tries with one more."""
 
@@ -43,7 +45,7 @@ class _Search:
         buffers: int,
     ) -> None:
         self._leave_first = leave_first
-        self._items = [i for i in range(len(leave_first)) if wanted >> i & 1]
+        self._items = list(bits(wanted))
         self._wanted = wanted
         self._may_wait = may_wait
         self._prefer = prefer

@@ -6,7 +6,7 @@ spot makes unusable is a set of bits, so that a search asks for free places with
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cached_property
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry import invert
+from toolkit.rearrangement.bits import bits
 from toolkit.rearrangement.dependencies import dependencies
 from toolkit.rearrangement.footprints import DIRECTIONS, Footprint, directions, gaps, planar_motion
 from toolkit.rearrangement.moves import Layout, Move
@@ -231,28 +232,6 @@ def _drawn(layout: Layout, rng: np.random.Generator) -> tuple[Float, NDArray[np.
     others = np.repeat([outline.center for outline in outlines], len(_TURNS), axis=0)
     turns = np.concatenate([rng.integers(0, DIRECTIONS, SPOTS), np.tile(_TURNS, len(outlines))])
     return np.concatenate([anywhere, others]), turns
-
-
-def bits(mask: int) -> Iterator[int]:
-    """Positions of the bits that are set, ascending."""
-    while mask:
-        lowest = mask & -mask
-        yield lowest.bit_length() - 1
-        mask ^= lowest
-
-
-def any_bit(mask: int, rng: np.random.Generator) -> int:
-    """Position of one of the bits that are set, at random."""
-    rank, position, width = int(rng.integers(mask.bit_count())), 0, mask.bit_length()
-    while width > 1:
-        half = width // 2
-        low = mask & (1 << half) - 1
-        if rank < low.bit_count():
-            mask, width = low, half
-        else:
-            rank -= low.bit_count()
-            mask, width, position = mask >> half, width - half, position + half
-    return position
 
 
 def _packed(hit: NDArray[np.bool_]) -> int:

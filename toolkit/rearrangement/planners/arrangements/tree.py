@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table, any_bit
+from toolkit.rearrangement.bits import any_bit
+from toolkit.rearrangement.planners.arrangements.table import GOAL, Arrangement, Step, Table
 
 
 class _Node:
