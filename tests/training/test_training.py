@@ -200,7 +200,7 @@ def test_a_folder_of_scans_can_be_trained_on_from_the_shipped_network(tmp_path, 
     write_set(scans, {"mug": 6})
     settings = read_training("loftr", None, {})
     data = settings.model_dump() | LOFTR | {"start": "tabletop", "pairs": {"crop_size": 96, "max_angle_deg": 180}}
-    data["loop"] |= {"steps": 1, "learning_rate": 1e-9, "average": 0.0}
+    data["loop"] = data["loop"] | {"steps": 1, "learning_rate": 1e-9, "average": 0.0}
     options = TrainOptions(tmp_path / "out", objects=scans)
     path = train("loftr", LoftrTraining.model_validate(data), options, Progress())
     card = yaml.safe_load(path.with_suffix(".yaml").read_text())
