@@ -20,6 +20,9 @@ from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 _OPTIMISED = 8
 """Best hypotheses that are refined: a minimal sample's pose ranks only roughly under noise."""
 
+_TESTED, _PROMISING = 256, 64
+"""Correspondences by which all hypotheses are compared first, and the best of them that are compared by all."""
+
 _WIDE, _STEPS = 3.0, 8
 """Refinement first weights errors at `_WIDE` times the scale, so that an inexact start collects its inliers."""
 
@@ -52,13 +55,18 @@ class Evidence(NamedTuple):
 
 @jax.jit
 def search_planar(evidence: Evidence, samples: Int[Array, "hypotheses 2"], height: Float[Array, ""]) -> Pose:
-    """The best motion on the table of samples of two rows; `height` is that of the points' mean, metres."""
+    """The best motion on the table of samples of two rows; `height` is that of the points' mean, metres.
+
+    Samples are drawn by weight, so that their first rows stand for all correspondences, each as good as the next.
+    """
     motions = jax.vmap(lambda rows: _from_two_points(evidence, rows, height))(samples)
-    costs = jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(motions)
-    _, best = jax.lax.top_k(-jnp.nan_to_num(costs, nan=jnp.inf), _OPTIMISED)
+    tested = samples[:_TESTED, 0]
+    few = evidence._replace(points=evidence.points[tested], rays=evidence.rays[tested], weights=jnp.ones(len(tested)))
+    motions = _best(few, motions, _PROMISING)
+    motions = _best(evidence, motions, _OPTIMISED)
     free = jnp.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     scales = evidence.scale * jnp.repeat(jnp.array([_WIDE, 1.0]), _STEPS)
-    refined = jax.vmap(lambda motion: _refine(evidence, motion, free, scales))(Pose(motions.R[best], motions.t[best]))
+    refined = jax.vmap(lambda motion: _refine(evidence, motion, free, scales))(motions)
     winner = jnp.argmin(jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(refined))
     return jax.tree.map(lambda part: part[winner], refined)
 
@@ -80,6 +88,13 @@ def covariance(evidence: Evidence, motion: Pose, free: Float[Array, " 6"]) -> Fl
     return variance * jnp.linalg.inv(H + held) * jnp.outer(free, free)
 
 
+def _best(evidence: Evidence, motions: Pose, count: int) -> Pose:
+    """Those `count` of a batch of motions that cost least."""
+    costs = jax.vmap(lambda motion: _cost(evidence, motion, evidence.scale))(motions)
+    _, best = jax.lax.top_k(-jnp.nan_to_num(costs, nan=jnp.inf), count)
+    return Pose(motions.R[best], motions.t[best])
+
+
 def _from_two_points(evidence: Evidence, rows: Int[Array, " 2"], height: Float[Array, ""]) -> Pose:
     points, rays = evidence.points[rows], evidence.rays[rows]
     # a . q + d = 0 for every pixel coordinate.
@@ -93,17 +108,18 @@ def _from_two_points(evidence: Evidence, rows: Int[Array, " 2"], height: Float[A
     return Pose(jnp.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]), jnp.stack([tx, ty, height]))
 
 
-def _seen(evidence: Evidence, motion: Pose) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"], Float[Array, "N 2"]]:
-    """All points turned, in the camera, and their errors in pixels."""
-    turned = evidence.points @ motion.R.T
-    camera = (turned + motion.t) @ evidence.R.T + evidence.t
-    return turned, camera, (camera[:, :2] / camera[:, 2:] - evidence.rays) * evidence.focal
-
-
 def _squared(evidence: Evidence, motion: Pose) -> Float[Array, " N"]:
-    """Squared errors in pixels, huge behind the camera."""
-    _, camera, errors = _seen(evidence, motion)
-    return jnp.where(camera[:, 2] > 0, (errors**2).sum(axis=1), 1e12)
+    """Squared errors in pixels, huge behind the camera.
+
+    Coordinate by coordinate: XLA fuses this into one loop over points, and products of small matrices not at all.
+    """
+    R, t = evidence.R @ motion.R, evidence.R @ motion.t + evidence.t
+    x, y, z = (
+        R[i, 0] * px + R[i, 1] * py + R[i, 2] * pz + t[i] for px, py, pz in [evidence.points.T] for i in range(3)
+    )
+    u = (x / z - evidence.rays[:, 0]) * evidence.focal[0]
+    v = (y / z - evidence.rays[:, 1]) * evidence.focal[1]
+    return jnp.where(z > 0, u * u + v * v, 1e12)
 
 
 def _robust(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Array, " N"]:
@@ -118,16 +134,17 @@ def _cost(evidence: Evidence, motion: Pose, scale: Float[Array, ""]) -> Float[Ar
 
 
 def _equations(evidence: Evidence, free: Float[Array, " 6"], motion: Pose, scale: Float[Array, ""]) -> Equations:
-    turned, camera, errors = _seen(evidence, motion)
+    turned = evidence.points @ motion.R.T
+    camera = (turned + motion.t) @ evidence.R.T + evidence.t
+    errors = (camera[:, :2] / camera[:, 2:] - evidence.rays) * evidence.focal
     z = jnp.maximum(camera[:, 2:], 1e-6)
     flat = camera[:, :2] / z
     by_camera = jnp.concatenate([jnp.broadcast_to(jnp.eye(2), (len(z), 2, 2)), -flat[..., None]], axis=2)
     by_world = by_camera * (evidence.focal[:, None] / z[..., None]) @ evidence.R
     by_turn = jnp.cross(turned[:, None], by_world)
-    J = jnp.concatenate([by_turn, by_world], axis=2) * free
-    weight = _robust(evidence, motion, scale)
-    H = jnp.einsum("m,mck,mcl->kl", weight, J, J)
-    return Equations(H, jnp.einsum("m,mck,mc->k", weight, J, errors), _cost(evidence, motion, scale))
+    J = (jnp.concatenate([by_turn, by_world], axis=2) * free).reshape(-1, 6)
+    weighted = (J * jnp.repeat(_robust(evidence, motion, scale), 2)[:, None]).T
+    return Equations(weighted @ J, weighted @ errors.ravel(), _cost(evidence, motion, scale))
 
 
 def _refine(evidence: Evidence, motion: Pose, free: Float[Array, " 6"], scales: Float[Array, " steps"]) -> Pose:

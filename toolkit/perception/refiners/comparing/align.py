@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from toolkit.perception.jax_geometry import rotation_exp, skew
+from toolkit.perception.jax_geometry import rotation_exp
 
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
@@ -146,135 +146,151 @@ Equations = tuple[Float[Array, "6 6"], Float[Array, " 6"]]
 """Gauss-Newton matrix and gradient."""
 
 
+class _Seen(NamedTuple):
+    """Points in the goal's picture, one array per coordinate: XLA fuses what is so into single loops.
+
+    Attributes:
+        u: pixels, and how they change with (turn, shift) in the camera's axes.
+        v: the same, downwards.
+    """
+
+    u: Float[Array, " M"]
+    v: Float[Array, " M"]
+    by_u: Float[Array, "6 M"]
+    by_v: Float[Array, "6 M"]
+
+
 def _normal_equations(
     R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, level: int, free: Freedom
 ) -> Equations:
-    turned = source.shape @ R.T
-    uv, duv = _project(turned + t, goal)
-    motion = _motion(turned) * free.moves
-    moved = duv @ motion
-    terms = (
-        _photometric(R, t, source, goal, level, free.moves),
-        _inside(uv, moved, goal),
-        _outline(uv, moved, goal),
-        _contact((turned + t)[:, 2] - free.table, motion[:, 2], free.rests),
-    )
-    matrices, gradients = zip(*terms, strict=True)
-    return sum(matrices[1:], matrices[0]), sum(gradients[1:], gradients[0])
+    shape = _seen(source.shape, R, t, goal)
+    photometric = _photometric(_seen(source.points, R, t, goal), source, goal, level)
+    matrices, gradients = zip(photometric, _inside(shape, goal), _outline(shape, goal), strict=True)
+    # Turns and shifts along the camera's axes are those along the world's, turned.
+    axes = jnp.kron(jnp.eye(2), goal.R)
+    nothing = (jnp.zeros((6, 6)), jnp.zeros(6))
+    resting, pull = jax.lax.cond(free.rests > 0, lambda: _contact(source.shape, R, t, free), lambda: nothing)
+    H, gradient = axes.T @ sum(matrices) @ axes + resting, axes.T @ sum(gradients) + pull
+    return H * jnp.outer(free.moves, free.moves), gradient * free.moves
 
 
-def _photometric(
-    R: Float[Array, "3 3"],
-    t: Float[Array, " 3"],
-    source: Source,
-    goal: GoalImage,
-    level: int,
-    moves: Float[Array, " 6"],
-) -> Equations:
+def _seen(points: Float[Array, "M 3"], R: Float[Array, "3 3"], t: Float[Array, " 3"], goal: GoalImage) -> _Seen:
+    """Centred points, turned and placed, as the goal's camera sees them."""
+    turn, (tx, ty, tz) = goal.R @ R, goal.R @ t + goal.t
+    (px, py, pz), (fx, fy) = points.T, (goal.K[0, 0], goal.K[1, 1])
+    x, y, z = (turn[i, 0] * px + turn[i, 1] * py + turn[i, 2] * pz for i in range(3))
+    ahead = jnp.maximum(z + tz, 1e-2)
+    flat_x, flat_y = (x + tx) / ahead, (y + ty) / ahead
+    # Pixel gradients (a, 0, b) and (0, c, d) by camera coordinates; by the turn they are (x, y, z) x gradient.
+    a, b, c, d = fx / ahead, -fx * flat_x / ahead, fy / ahead, -fy * flat_y / ahead
+    zero = jnp.zeros_like(a)
+    by_u = jnp.stack([y * b, z * a - x * b, -y * a, a, zero, b])
+    by_v = jnp.stack([y * d - z * c, -x * d, x * c, zero, c, d])
+    return _Seen(flat_x * fx + goal.K[0, 2], flat_y * fy + goal.K[1, 2], by_u, by_v)
+
+
+def _photometric(seen: _Seen, source: Source, goal: GoalImage, level: int) -> Equations:
     """The goal shows at each point what the patch showed there."""
-    turned = source.points @ R.T
-    uv, duv = _project(turned + t, goal)
-    value, gradient, inside = _sample(goal.values[level], uv)
-    residual = value - source.values[level]
-    J = jnp.einsum("mcu,muk->mck", gradient, duv @ _motion(turned)) * moves
-    robust = 1 / (1 + (residual**2).sum(axis=1) / (3 * _PHOTO_SIGMA) ** 2) ** 2
+    values, by_u, by_v, inside = _sample(goal.values[level], seen.u, seen.v)
+    residual = [value - wanted for value, wanted in zip(values, source.values[level].T, strict=True)]
+    robust = 1 / (1 + _dot(residual, residual) / (3 * _PHOTO_SIGMA) ** 2) ** 2
     weight = robust * inside * source.weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
-    return jnp.einsum("m,mck,mcl->kl", weight, J, J), jnp.einsum("m,mck,mc->k", weight, J, residual)
+    uu, uv, vv = weight * _dot(by_u, by_u), weight * _dot(by_u, by_v), weight * _dot(by_v, by_v)
+    ru, rv = weight * _dot(by_u, residual), weight * _dot(by_v, residual)
+    H = (uu * seen.by_u + uv * seen.by_v) @ seen.by_u.T + (uv * seen.by_u + vv * seen.by_v) @ seen.by_v.T
+    return H, seen.by_u @ ru + seen.by_v @ rv
 
 
-def _inside(uv: Float[Array, "N 2"], moved: Float[Array, "N 2 6"], goal: GoalImage) -> Equations:
+def _inside(seen: _Seen, goal: GoalImage) -> Equations:
     """No point of the model lies where the object is not."""
-    distance, slope, near = _sample(goal.outside[..., None], uv)
-    J = jnp.einsum("mcu,muk->mck", slope, moved)[:, 0]
-    residual = jnp.maximum(distance[:, 0] - _SAMPLES_PX, 0) * near
+    (distance,), (by_u,), (by_v,), near = _sample(goal.outside[..., None], seen.u, seen.v)
+    residual = jnp.maximum(distance - _SAMPLES_PX, 0) * near
     # All points together count as much as the outline.
-    share = goal.contour_weight.sum() / len(uv)
-    return _weighted(J, residual, share * (residual > 0))
+    share = goal.contour_weight.sum() / len(distance)
+    return _weighted(by_u * seen.by_u + by_v * seen.by_v, residual, share * (residual > 0))
 
 
-def _outline(uv: Float[Array, "N 2"], moved: Float[Array, "N 2 6"], goal: GoalImage) -> Equations:
+def _outline(seen: _Seen, goal: GoalImage) -> Equations:
     """Every pixel of the object's outline has a point of the model close to it."""
-    nearest = _nearest(goal.contour, uv)
-    residual = (goal.normals * (goal.contour - uv[nearest])).sum(axis=1) - _SAMPLES_PX
-    J = -jnp.einsum("cu,cuk->ck", goal.normals, moved[nearest])
-    return _weighted(J, residual, goal.contour_weight)
+    rows = _nearest(goal.contour, seen.u, seen.v)
+    (x, y), (nx, ny) = goal.contour.T, goal.normals.T
+    residual = nx * (x - seen.u[rows]) + ny * (y - seen.v[rows]) - _SAMPLES_PX
+    return _weighted(-(nx * seen.by_u[:, rows] + ny * seen.by_v[:, rows]), residual, goal.contour_weight)
 
 
-def _contact(height: Float[Array, " N"], moved: Float[Array, "N 6"], rests: Float[Array, ""]) -> Equations:
-    """The lowest points, of heights with derivatives, are on the table."""
+def _contact(shape: Float[Array, "N 3"], R: Float[Array, "3 3"], t: Float[Array, " 3"], free: Freedom) -> Equations:
+    """The lowest points are on the table."""
+    turned = shape @ R.T
+    height = turned[:, 2] + t[2] - free.table
     low = jax.nn.softmax(-height / _CONTACT_M)
-    J, residual = low @ moved, low @ height
-    weight = rests / _CONTACT_M**2
+    x, y, _ = low @ turned
+    J, residual = jnp.array([y, -x, 0, 0, 0, 1]), low @ height
+    weight = free.rests / _CONTACT_M**2
     return weight * jnp.outer(J, J), weight * J * residual
 
 
-def _nearest(queries: Float[Array, "Q 2"], points: Float[Array, "P 2"]) -> Int[Array, " Q"]:
-    """Rows of the points nearest to the queries.
+def _nearest(queries: Float[Array, "Q 2"], u: Float[Array, " P"], v: Float[Array, " P"]) -> Int[Array, " Q"]:
+    """Rows of the points nearest to the queries, pixels.
 
     XLA's argmin is not vectorised on a CPU, its minimum of integers is, and takes a hundredth of the time: the bits of
     a distance that is not negative order as it does, and the last ones make room for the row.
     """
-    dx, dy = queries[:, :1] - points[:, 0], queries[:, 1:] - points[:, 1]
-    rows = (1 << (len(points) - 1).bit_length()) - 1
+    dx, dy = queries[:, :1] - u, queries[:, 1:] - v
+    rows = (1 << (len(u) - 1).bit_length()) - 1
     distance = jax.lax.bitcast_convert_type(dx * dx + dy * dy, jnp.int32)
-    return ((distance & ~rows) | jnp.arange(len(points))).min(axis=1) & rows
+    return ((distance & ~rows) | jnp.arange(len(u))).min(axis=1) & rows
 
 
-def _weighted(J: Float[Array, "M 6"], residual: Float[Array, " M"], weight: Float[Array, " M"]) -> Equations:
+def _weighted(J: Float[Array, "6 M"], residual: Float[Array, " M"], weight: Float[Array, " M"]) -> Equations:
     """Equations of residuals in pixels, Geman-McClure weights."""
     robust = weight / (1 + (residual / _EDGE_REACH_PX) ** 2) ** 2 / _EDGE_SIGMA_PX**2
-    return jnp.einsum("m,mk,ml->kl", robust, J, J), jnp.einsum("m,mk,m->k", robust, J, residual)
+    weighted = robust * J
+    return weighted @ J.T, weighted @ residual
 
 
 def _correlation(R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage) -> Float[Array, ""]:
-    uv, _ = _project(source.points @ R.T + t, goal)
-    value, _, inside = _sample(goal.values[-1], uv)
-    weight = (inside * source.weights)[:, None]
-    a, b = value * weight, source.values[-1] * weight
+    seen = _seen(source.points, R, t, goal)
+    values, _, _, inside = _sample(goal.values[-1], seen.u, seen.v)
+    a, b = jnp.stack(values) * (inside * source.weights), source.values[-1].T * (inside * source.weights)
     # Points that fall off the object count as disagreeing.
     return (a * b).sum() / jnp.sqrt(((a**2).sum() + 1) * (((source.values[-1] ** 2).sum(1) * source.weights).sum() + 1))
 
 
 def _spill(R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage) -> Float[Array, ""]:
     """Mean of the largest distances of the model off the object: a handle on the wrong side shows here."""
-    uv, _ = _project(source.shape @ R.T + t, goal)
-    distance, _, inside = _sample(goal.outside[..., None], uv)
-    off = jnp.where(inside > 0, jnp.minimum(distance[:, 0], _FAR_PX), _FAR_PX)
+    seen = _seen(source.shape, R, t, goal)
+    (distance,), _, _, inside = _sample(goal.outside[..., None], seen.u, seen.v)
+    off = jnp.where(inside > 0, jnp.minimum(distance, _FAR_PX), _FAR_PX)
     return jax.lax.top_k(off, max(len(off) // _SPILL_PART, 1))[0].mean()
 
 
-def _project(world: Float[Array, "M 3"], goal: GoalImage) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 3"]]:
-    """Pixels of world points, and their derivatives."""
-    camera = world @ goal.R.T + goal.t
-    z = jnp.maximum(camera[:, 2], 1e-2)
-    focal = jnp.array([goal.K[0, 0], goal.K[1, 1]])
-    flat = camera[:, :2] / z[:, None]
-    across = jnp.broadcast_to(jnp.diag(focal), (len(world), 2, 2))
-    derivative = jnp.concatenate([across, -(flat * focal)[..., None]], axis=2) / z[:, None, None]
-    return flat * focal + goal.K[:2, 2], derivative @ goal.R
+_Channels = list[Float[Array, " M"]]
 
 
-def _motion(turned: Float[Array, "M 3"]) -> Float[Array, "M 3 6"]:
-    """Derivative of moved points by (turn, shift)."""
-    turn = skew(-turned)
-    return jnp.concatenate([turn, jnp.broadcast_to(jnp.eye(3), turn.shape)], axis=2)
+def _dot(a: _Channels, b: _Channels) -> Float[Array, " M"]:
+    """Sum over channels, without an array of them."""
+    return sum((p * q for p, q in zip(a, b, strict=True)), jnp.zeros(()))
 
 
 def _sample(
-    image: Float[Array, "S S C"], uv: Float[Array, "M 2"]
-) -> tuple[Float[Array, "M C"], Float[Array, "M C 2"], Float[Array, " M"]]:
-    """Bilinear values and gradients of an image, and 1 where inside."""
+    image: Float[Array, "S S C"], u: Float[Array, " M"], v: Float[Array, " M"]
+) -> tuple[_Channels, _Channels, _Channels, Float[Array, " M"]]:
+    """Bilinear values of an image's channels, their slopes to the right and downwards, and 1 where inside."""
     size = image.shape[0]
-    inside = ((uv >= 0) & (uv < size - 1.001)).all(axis=1)
-    safe = jnp.where(inside[:, None], uv, 0.0)
-    corner = jnp.floor(safe).astype(jnp.int32)
-    fx, fy = (safe - corner).T[..., None]
+    inside = (u >= 0) & (u < size - 1.001) & (v >= 0) & (v < size - 1.001)
+    u, v = jnp.where(inside, u, 0.0), jnp.where(inside, v, 0.0)
+    left, top = jnp.floor(u), jnp.floor(v)
+    fx, fy = u - left, v - top
     flat = image.reshape(size * size, -1)
-    start = corner[:, 1] * size + corner[:, 0]
-    a, b, c, d = flat[start], flat[start + 1], flat[start + size], flat[start + size + 1]
-    top, bottom = a + fx * (b - a), c + fx * (d - c)
-    gradient = jnp.stack([(1 - fy) * (b - a) + fy * (d - c), bottom - top], axis=-1)
-    return top + fy * (bottom - top), gradient, inside.astype(jnp.float32)
+    start = top.astype(jnp.int32) * size + left.astype(jnp.int32)
+    corners = (flat[start + step] for step in (0, 1, size, size + 1))
+    values, by_u, by_v = [], [], []
+    for a, b, c, d in zip(*(corner.T for corner in corners), strict=True):
+        above, below = a + fx * (b - a), c + fx * (d - c)
+        values.append(above + fy * (below - above))
+        by_u.append((1 - fy) * (b - a) + fy * (d - c))
+        by_v.append(below - above)
+    return values, by_u, by_v, inside.astype(jnp.float32)
 
 
 def _clipped(step: Float[Array, " 3"], most: float) -> Float[Array, " 3"]:
