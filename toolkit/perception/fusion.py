@@ -68,7 +68,7 @@ class FusedModel:
     patches: tuple[Patch, ...]
     score: float = 1.0
 
-    @property
+    @cached_property
     def center(self) -> Float:
         """(3,) float64 middle of the points' axis-aligned box."""
         return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2, np.float64)

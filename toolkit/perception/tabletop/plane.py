@@ -95,8 +95,9 @@ def fit_near(frame: Frame, T_world_table: Float, reach: float) -> Plane | None:
         inliers = np.abs(plane.heights(rays, depth)) < reach
         if inliers.sum() < _LEAST_INLIERS:
             return None
-        coefficients = np.linalg.lstsq(rays[inliers], 1 / depth[inliers], rcond=None)[0]
-        residual = 1 / depth[inliers] - rays[inliers] @ coefficients
+        near, inverse = rays[inliers], 1 / depth[inliers]
+        coefficients = np.linalg.solve(near.T @ near, near.T @ inverse)
+        residual = inverse - near @ coefficients
         plane = Plane(coefficients, float(deviation(residual)))
         spread = 3 * plane.noise * plane.camera_height * float(np.median(depth[inliers]))
         reach = float(np.clip(spread, _LEAST_REACH_M, reach))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -42,6 +43,9 @@ _LEAST_PART = 0.1
 _RASTER_M = 0.005
 
 _NOISES, _LEAST_M = 4.0, 0.004
+
+_ROUNDING = 1e-9
+"""What poses differ by, in metres and as parts of a turn, once they were taken to another world and back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,22 +109,46 @@ def inside_convex(hull: Float, points: Float) -> Mask:
 
 
 def find_table(frames: Sequence[Frame]) -> Table:
-    """Find the table in RGB-D frames of one scene. The last scene's is kept, since every stage asks for it.
+    """Find the table in RGB-D frames of one scene. Recent ones are kept, since every stage asks for it.
 
     All frames are looked at together. Planes are found one after another (RANSAC, Fischler and Bolles, CACM 1981); the
     table is the one that the cameras look at and that carries things: a floor may be larger, and a box's lid nearer.
-    The world may have any orientation.
+    The world may have any orientation: the table is found in the first camera's own frame, once for all worlds.
 
     Raises:
         ToolkitError: there is no frame, a frame has no depth, or no plane holds a fair part of it.
     """
-    return _find(tuple(frames))
-
-
-@lru_cache(maxsize=2)
-def _find(frames: tuple[Frame, ...]) -> Table:
     if not frames:
         raise ToolkitError("the table is found in the current frames, and there is none")
+    T_world_first = frames[0].camera.T_world_camera
+    poses = invert(T_world_first) @ np.stack([frame.camera.T_world_camera for frame in frames])
+    found = next((table for table in _recent if _is_of(table, frames, poses)), None)
+    if found is None:
+        found = _find(tuple(frame.moved(invert(T_world_first)) for frame in frames))
+        _recent.append(found)
+    return replace(found, T_world_table=T_world_first @ found.T_world_table, frames=tuple(frames))
+
+
+_recent: deque[Table] = deque(maxlen=2)
+"""Tables in their first camera's frame."""
+
+
+def _is_of(table: Table, frames: Sequence[Frame], poses: Float) -> bool:
+    """Whether a table is that of frames with (N, 4, 4) poses in their first camera's frame."""
+    if len(table.frames) != len(frames) or not all(map(_is_same_image, table.frames, frames)):
+        return False
+    return bool(np.allclose([frame.camera.T_world_camera for frame in table.frames], poses, rtol=0, atol=_ROUNDING))
+
+
+def _is_same_image(a: Frame, b: Frame) -> bool:
+    """Whether two frames have one depth image in memory; frames that are moved share it."""
+    one, other = a.depth, b.depth
+    if one is None or other is None or one.ctypes.data != other.ctypes.data or one.shape != other.shape:
+        return False
+    return np.array_equal(a.camera.K, b.camera.K)
+
+
+def _find(frames: tuple[Frame, ...]) -> Table:
     for frame in frames:
         if frame.depth is None:
             raise ToolkitError(f"frame {frame.index} has no depth, and the table is found in depth")
