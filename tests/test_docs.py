@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import ROOT, shell
 
-ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 MEASURE = runpy.run_path(str(ROOT / "docs" / "generate" / "measure.py"))
@@ -28,23 +25,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch, capsys):
         if language == "python":
             exec(compile(code, str(page), "exec"), scope)
         else:
-            _shell(code, tmp_path)
-
-
-def _shell(code: str, folder: Path) -> None:
-    """Run with a `toolkit` that is this interpreter's, installed or not, and with what else is installed beside it."""
-    function = f'toolkit() {{ "{sys.executable}" -c "from toolkit.cli.commands import main; main()" "$@"; }}\n'
-    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
-    programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    done = subprocess.run(
-        ["bash", "-euc", function + code],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, "PATH": programs},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+            shell(code, tmp_path)
 
 
 @pytest.mark.parametrize("page", [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], ids=lambda page: page.name)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_line import own_process, toolkit
 
 from toolkit import __version__
 from toolkit.cli import doctor
-from toolkit.cli.commands import main
 from toolkit.data.bop import load_capture
 from toolkit.data.clouds import read_cloud
 from toolkit.data.scene import TabletopConfig
@@ -30,40 +26,6 @@ from toolkit.results.rows import read_rows
 from toolkit.settings import shipped_settings
 from toolkit.stages import REGISTRIES
 from toolkit.weights.cards import CARDS
-
-START = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
-
-TERMINAL = {"COLUMNS": "120", "NO_COLOR": "1"}
-
-
-def toolkit(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """What a command answers, given in this process, which has everything imported."""
-    call = ["toolkit", *map(str, arguments)]
-    out, err = io.StringIO(), io.StringIO()
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        for name, value in {**TERMINAL, **environment}.items():
-            patch.setenv(name, value)
-        patch.chdir(folder or Path.cwd())
-        patch.setattr(sys, "argv", call)
-        with pytest.raises(SystemExit) as end:
-            main()
-    signal.signal(signal.SIGINT, before)
-    return subprocess.CompletedProcess(call, end.value.code or 0, out.getvalue(), err.getvalue())
-
-
-def own_process(*arguments: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """What a command answers in a process of its own; it imports what is tested (-P), not the folder it is in."""
-    return subprocess.run(
-        [sys.executable, "-P", "-c", START, *map(str, arguments)],
-        env={**os.environ, **TERMINAL, **environment},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-
 
 FEW = ["--scenes", "1", "--set", "dataset.views=2", "--set", "dataset.max_objects=2"]
 MISTAKES = {

@@ -64,9 +64,13 @@ class Plot:
 
     def write(self, folder: Path) -> None:
         """Write FOLDER/<name>.svg and .pdf, in black on white."""
-        for kind, metadata in _DATELESS.items():
-            with self._style(_BLACK), new_file(folder / f"{self.name}.{kind}") as path:
-                self._drawn(legend=True).savefig(path, format=kind, metadata=metadata)
+        with self._style(_BLACK):
+            figure = self._drawn(legend=True)
+            for kind, metadata in _DATELESS.items():
+                with new_file(folder / f"{self.name}.{kind}") as path:
+                    figure.savefig(path, format=kind, metadata=metadata)
+                # Laid out once for both files.
+                figure.set_layout_engine("none")
 
     def _style(self, ink: str) -> Any:
         return matplotlib.rc_context({**_STYLE, **dict.fromkeys(_INKED, ink)})
