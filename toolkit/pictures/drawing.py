@@ -27,6 +27,9 @@ _PLATE = (24, 24, 28)
 _SPLAT_RADIUS_PX = 3
 _MAX_FRAMES = 3
 
+_AROUND, _LEAST_PART = 0.04, 0.2
+"""Of a picture's size: the margin around points that are zoomed in on, and the smallest part that is shown."""
+
 
 @dataclass(frozen=True)
 class _Lettering:
@@ -165,7 +168,7 @@ def correspondences(
     frame_rgbs: Mapping[int, Image],
     frame_of: NDArray[np.int64],
     frame_xy: Float,
-    inliers: Mask,
+    inliers: Mask | None,
     max_lines: int = 24,
 ) -> Image:
     """Draw correspondences from the goal (left) to the current frames with most inliers (right, stacked).
@@ -176,12 +179,14 @@ def correspondences(
         frame_rgbs: current images by frame index, (H', W', 3) uint8 of any sizes.
         frame_of: (N,) frame index of every correspondence.
         frame_xy: (N, 2) pixels in its frame.
-        inliers: (N,) bool; green lines, the others red.
+        inliers: (N,) bool; green lines, the others red. None where no pose was accepted: all are red.
         max_lines: lines drawn per frame, evenly picked.
 
     Returns:
         (H, W', 3) uint8.
     """
+    counted = f"goal: {len(goal_xy)} matches" + ("" if inliers is None else f", {int(inliers.sum())} inliers")
+    inliers = np.zeros(len(goal_xy), bool) if inliers is None else inliers
     best = sorted(frame_rgbs, key=lambda index: (-int(inliers[frame_of == index].sum()), index))[:_MAX_FRAMES]
     height, width = goal_rgb.shape[:2]
     tile_height = max(height // len(best), 1)
@@ -202,9 +207,30 @@ def correspondences(
     for row, index in enumerate(best):
         at = (width + letters.px(34), row * tile_height + letters.px(18))
         _write_label(picture, f"frame {index}", at, (255, 255, 255), letters)
-    counted = f"goal: {int(inliers.sum())} inliers of {len(inliers)}"
     _write_label(picture, counted, (letters.px(110), letters.px(18)), (255, 255, 255), letters)
     return picture
+
+
+def zoomed(picture: Image, xy: Float) -> tuple[Image, Float]:
+    """The part of a picture around points, as large as the picture was.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        xy: (N, 2) pixels, at least one.
+
+    Returns:
+        (H, W, 3) uint8, and where the points are in it.
+    """
+    size = np.array(picture.shape[1::-1])
+    inside = np.clip(xy, 0, size - 1)
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    part = float(np.clip(((high - low) / size).max() + 2 * _AROUND, _LEAST_PART, 1))
+    window = np.maximum(np.rint(part * size), 1).astype(int)
+    x, y = np.clip(np.rint((low + high - window) / 2), 0, size - window).astype(int)
+    cut = picture[y : y + window[1], x : x + window[0]]
+    larger = np.asarray(cv2.resize(cut, (int(size[0]), int(size[1])), interpolation=cv2.INTER_CUBIC), np.uint8)
+    # Pixel centres: (0, 0) stays the centre of the first pixel after scaling.
+    return larger, (xy - (x, y) + 0.5) * (size / window) - 0.5
 
 
 def scaled_to_height(picture: Image, height: int) -> Image:

@@ -16,7 +16,7 @@ from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.perception.extents import measure_extent
 from toolkit.perception.fusion import Clouds
-from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
+from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend, zoomed
 from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.poses import POSES, SCHEMA, Found, GoalObject, Instance, Poses
@@ -181,7 +181,10 @@ def _color(estimate: PoseEstimate) -> Color:
 
 
 def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:
-    """The correspondences of one object, goal beside current frames (uint8 RGB); None when there are none."""
+    """The correspondences of one object, goal beside current frames, each zoomed in on them (uint8 RGB).
+
+    None when there are none.
+    """
     problem = estimate.correspondences
     if problem is None or not len(problem):
         return None
@@ -189,13 +192,14 @@ def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate
     frame_of = np.array([database.regions[row].frame_index for row in rows])
     frames = {frame.index: frame for frame in database.frames}
     xy = np.zeros((len(problem), 2))
-    for index in np.unique(frame_of):
-        camera = frames[int(index)].camera
+    images: dict[int, np.ndarray] = {}
+    for index in map(int, np.unique(frame_of)):
+        camera = frames[index].camera
         seen = frame_of == index
-        xy[seen] = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
-    inliers = np.zeros(len(problem), bool) if estimate.inliers is None else estimate.inliers
-    images = {index: frames[index].rgb for index in map(int, np.unique(frame_of))}
-    return correspondences(capture.goal.rgb, problem.pixels, images, frame_of, xy, inliers)
+        pixels = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
+        images[index], xy[seen] = zoomed(frames[index].rgb, pixels)
+    goal, goal_xy = zoomed(capture.goal.rgb, problem.pixels)
+    return correspondences(goal, goal_xy, images, frame_of, xy, estimate.inliers)
 
 
 def write_case(folder: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
