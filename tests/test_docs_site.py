@@ -90,3 +90,12 @@ def test_weights_are_all_that_the_settings_can_choose(stage, name, monkeypatch):
         except ToolkitError as error:
             pytest.skip(str(error))
     assert asked == set(plugin.weights)
+
+
+def test_the_page_of_settings_says_what_every_one_means(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "generate"))
+    page = importlib.import_module("settings_pages").settings_page()
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    assert len(rows) > 300 and not [row for row in rows if row.endswith("|  |")]
+    for stage, name in BUILT_IN:
+        assert not REGISTRIES[stage].get(name).Config.model_fields or f"\n### {stage} {name}\n" in page

@@ -12,6 +12,7 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 from modules import reference_nav, reference_pages
+from settings_pages import PAGE, settings_page
 from stage_pages import stage_nav, stage_pages
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +32,7 @@ def on_config(config: Any) -> None:
     """Put the pages that are not in docs/ into the nav."""
     plugins = [page for page in _outside().values() if page.startswith("plugins/")]
     config.nav += [
-        {"Stages": stage_nav()},
+        {"Stages": [*stage_nav(), {"Every setting": PAGE}]},
         {"API": reference_nav()},
         {"Plugins": plugins},
         {"Contributing": ["contributing.md", "changelog.md"]},
@@ -41,7 +42,7 @@ def on_config(config: Any) -> None:
 def on_files(files: Files, config: Any) -> None:
     """Add the pages that are not in docs/."""
     outside = {page: (ROOT / source).read_text() for source, page in _outside().items()}
-    for page, text in {**outside, **stage_pages(), **reference_pages()}.items():
+    for page, text in {**outside, **stage_pages(), PAGE: settings_page(), **reference_pages()}.items():
         files.append(File.generated(config, page, content=text))
 
 
