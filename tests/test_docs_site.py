@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -43,6 +44,9 @@ def test_it_builds_without_a_warning_and_has_every_page(site):
     pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")]
     for page in pages:
         assert (site / page.relative_to(ROOT / "docs").with_suffix("") / "index.html").is_file()
+    for page in (ROOT / "docs" / "tutorials").glob("*.md"):
+        assert f'href="../{page.stem}.ipynb"' in (site / "tutorials" / page.stem / "index.html").read_text()
+        assert json.loads((site / "tutorials" / f"{page.stem}.ipynb").read_text())["nbformat"] == 4
     for readme in (ROOT / "plugins").glob("*/README.md"):
         assert (site / "plugins" / readme.parent.name / "index.html").is_file()
 

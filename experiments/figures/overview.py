@@ -23,10 +23,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("out", type=Path)
+    parser.add_argument("--experiment", default="estimate")
     options = parser.parse_args()
 
     capture = load_capture(options.capture)
-    pipeline = make_runner(expand(load_experiment("estimate"))[0], cache=None).pipeline
+    pipeline = make_runner(expand(load_experiment(options.experiment))[0], cache=None).pipeline
     database = pipeline.build_database(capture.current)
     estimates = pipeline.estimate(database, capture.goal)
 

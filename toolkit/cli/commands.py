@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import signal
 import sys
 from typing import Annotated
@@ -53,6 +54,8 @@ def _stop(*_: object) -> None:
 def main() -> None:
     """Entry point: a user's mistake is answered in one or two lines and exit code 2, never with a traceback."""
     signal.signal(signal.SIGINT, _stop)
+    # It warns where a home cannot be written, which costs it a second and nobody else anything.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         app()
     except ToolkitError as error:
