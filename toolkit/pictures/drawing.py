@@ -82,7 +82,10 @@ class _Lettering:
 
 
 def overlay(
-    goal: Frame, outlines: Sequence[tuple[str, Float, Color]], masks: Sequence[tuple[str, Mask, Color]] = ()
+    goal: Frame,
+    outlines: Sequence[tuple[str, Float, Color]],
+    masks: Sequence[tuple[str, Mask, Color]] = (),
+    places: Sequence[tuple[Mask, Color]] = (),
 ) -> Image:
     """Draw outlines of moved point clouds and of masks on the goal image.
 
@@ -90,22 +93,25 @@ def overlay(
         goal: the goal image and its camera.
         outlines: label, (N, 3) world points already moved to the goal, and colour, one per object.
         masks: label, (H, W) bool, and colour, one per object without a motion; they are tinted.
+        places: (H, W) bool, and colour, of what is outlined without a label.
 
     Returns:
         (H, W, 3) uint8.
     """
     picture, letters = goal.rgb.copy(), _Lettering.of(goal.rgb)
-    drawn = [(label, _silhouette(goal, points), color) for label, points, color in outlines]
-    for label, mask, color in masks:
+    for _, mask, color in masks:
         picture[mask] = np.rint((1 - _TINT) * picture[mask] + _TINT * np.array(color)).astype(np.uint8)
-        contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        drawn.append((label, [np.asarray(c, np.int32) for c in contours], color))
+    drawn = [
+        *(("", _contours(mask), color) for mask, color in places),
+        *((label, _silhouette(goal, points), color) for label, points, color in outlines),
+        *((label, _contours(mask), color) for label, mask, color in masks),
+    ]
     drawn = [entry for entry in drawn if entry[1]]
     for _, contours, color in drawn:
         cv2.polylines(picture, contours, True, (0, 0, 0), letters.px(4), cv2.LINE_AA)
         cv2.polylines(picture, contours, True, color, letters.px(2), cv2.LINE_AA)
     taken: list[tuple[int, int, int, int]] = []
-    for label, contours, color in drawn:
+    for label, contours, color in (entry for entry in drawn if entry[0]):
         center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken, letters)
         taken.append(_plate(picture, label, center, letters))
         _write_label(picture, label, center, color, letters)
@@ -145,6 +151,11 @@ def with_legend(picture: Image, entries: Sequence[tuple[str, Color]]) -> Image:
         for text, color, x in row:
             letters.write(strip, text, (x + margin, letters.line_px * number), color)
     return np.vstack([picture, strip])
+
+
+def _contours(mask: Mask) -> list[NDArray[np.int32]]:
+    found = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    return [np.asarray(contour, np.int32) for contour in found]
 
 
 def _silhouette(goal: Frame, points: Float) -> list[NDArray[np.int32]]:
