@@ -1,4 +1,4 @@
-"""Films of rearrangements: the goal image beside the table as it changes, as MP4; and its objects' poses, for Rerun."""
+"""Films of rearrangements: the goal beside the table as it changes, as MP4; and its objects' poses, for Rerun."""
 
 from __future__ import annotations
 
