@@ -67,5 +67,5 @@ def _users() -> dict[str, str]:
         for name in registry.names():
             with suppress(ToolkitError):
                 for card in registry.get(name).weights:
-                    users[card] = "\n".join(filter(None, (users.get(card), f"{registry.stage}\n  {name}")))
+                    users[card] = "\n".join(filter(None, (users.get(card), f"{registry.stage}\n{name}")))
     return users
