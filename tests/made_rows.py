@@ -31,7 +31,7 @@ def make_rows(cell, share, dataset="a", scenes=20, **fields):
 
 def _outcome(right):
     if not right:
-        return {"status": "failed", "stage": "pnp", "reason": "5 inliers of 12, at least 8 are needed <b>&"}
+        return {"status": "failed", "stage": "pnp", "reason": "too few inliers (5 among 12 matches, 8 needed) <b>&"}
     errors = {"rotation_error_deg": 1.0, "translation_error_cm": 0.5}
     symmetric = {f"{key}_sym": value for key, value in errors.items()}
     return {"status": "estimated", "success": True, "success_sym": True, **errors, **symmetric}

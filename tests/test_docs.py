@@ -1,4 +1,4 @@
-"""The docs' code runs: every block of a tutorial, in order, in an empty folder, as a reader would type it."""
+"""The docs' code runs: every cell of a tutorial's notebook, in order, in an empty folder, as a reader would type it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from command_line import ROOT, shell
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 MEASURE = runpy.run_path(str(ROOT / "docs" / "generate" / "measure.py"))
+NOTEBOOKS = runpy.run_path(str(ROOT / "docs" / "generate" / "notebooks.py"))
 LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
 
 
@@ -19,13 +20,23 @@ LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
 def test_every_block_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     scope: dict[str, object] = {}
-    blocks = BLOCK.findall(page.read_text())
+    blocks = NOTEBOOKS["code_cells"](NOTEBOOKS["notebook"](page.read_text()))
     assert blocks
     for language, code in blocks:
         if language == "python":
             exec(compile(code, str(page), "exec"), scope)
         else:
             shell(code, tmp_path)
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_notebook_has_all_of_its_page(page):
+    text = page.read_text()
+    made = NOTEBOOKS["notebook"](text)
+    assert NOTEBOOKS["code_cells"](made) == [(language, code.rstrip("\n")) for language, code in BLOCK.findall(text)]
+    said = "".join("".join(cell["source"]) for cell in made["cells"] if cell["cell_type"] == "markdown")
+    assert all(heading in said for heading in re.findall(r"^#+ .*$", BLOCK.sub("", text), re.MULTILINE))
+    assert not LINK.search(said) and len({cell["id"] for cell in made["cells"]}) == len(made["cells"])
 
 
 @pytest.mark.parametrize("page", [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], ids=lambda page: page.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -43,6 +44,9 @@ def test_it_builds_without_a_warning_and_has_every_page(site):
     pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")]
     for page in pages:
         assert (site / page.relative_to(ROOT / "docs").with_suffix("") / "index.html").is_file()
+    for page in (ROOT / "docs" / "tutorials").glob("*.md"):
+        assert f'href="../{page.stem}.ipynb"' in (site / "tutorials" / page.stem / "index.html").read_text()
+        assert json.loads((site / "tutorials" / f"{page.stem}.ipynb").read_text())["nbformat"] == 4
     for readme in (ROOT / "plugins").glob("*/README.md"):
         assert (site / "plugins" / readme.parent.name / "index.html").is_file()
 
@@ -90,3 +94,12 @@ def test_weights_are_all_that_the_settings_can_choose(stage, name, monkeypatch):
         except ToolkitError as error:
             pytest.skip(str(error))
     assert asked == set(plugin.weights)
+
+
+def test_the_page_of_settings_says_what_every_one_means(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "generate"))
+    page = importlib.import_module("settings_pages").settings_page()
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    assert len(rows) > 300 and not [row for row in rows if row.endswith("|  |")]
+    for stage, name in BUILT_IN:
+        assert not REGISTRIES[stage].get(name).Config.model_fields or f"\n### {stage} {name}\n" in page

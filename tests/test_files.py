@@ -13,6 +13,7 @@ import pytest
 import toolkit
 from toolkit.errors import ToolkitError
 from toolkit.files import is_whole, make_once, new_file, write_bytes, write_json
+from toolkit.paths import cache_root
 
 DAY_S = 24 * 3600
 
@@ -134,3 +135,12 @@ def test_there_is_no_second_road():
 def test_json_ends_in_a_line(tmp_path):
     write_json(tmp_path / "x.json", {"a": 1})
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": 1} and (tmp_path / "x.json").read_text()[-1] == "\n"
+
+
+def test_without_a_home_the_cache_has_to_be_named(monkeypatch, tmp_path):
+    monkeypatch.delenv("TOOLKIT_CACHE", raising=False)
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    with pytest.raises(ToolkitError, match=r"no home folder; name one for the cache in \$TOOLKIT_CACHE"):
+        cache_root()
+    monkeypatch.setenv("TOOLKIT_CACHE", str(tmp_path))
+    assert cache_root() == tmp_path

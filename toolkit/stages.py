@@ -5,6 +5,7 @@ A stage never knows which neighbour it has; its Protocol says what it is given a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from toolkit.errors import ToolkitError, suggest
@@ -117,12 +118,12 @@ def registry_of(stage: str) -> Registry[Any]:
     return REGISTRIES[stage]
 
 
-def register_module(module: Any, origin: str) -> int:
-    """Register every plugin class of a module that defines `stage` and `name`; returns how many."""
+def register_module(module: Any, origin: str, registries: Mapping[str, Registry[Any]] = REGISTRIES) -> int:
+    """Register every plugin class of a module that defines `name` and a `stage` of `registries`; returns how many."""
     count = 0
     for value in vars(module).values():
         is_plugin = isinstance(value, type) and issubclass(value, Plugin) and value.__module__ == module.__name__
-        if is_plugin and getattr(value, "stage", None) in REGISTRIES:
-            REGISTRIES[value.stage].register(value, origin)
+        if is_plugin and getattr(value, "stage", None) in registries:
+            registries[value.stage].register(value, origin)
             count += 1
     return count

@@ -5,6 +5,7 @@ mkdocs calls the functions named `on_...` (https://www.mkdocs.org/user-guide/plu
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
 from pathlib import Path
@@ -12,9 +13,12 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 from modules import reference_nav, reference_pages
+from notebooks import notebook
+from settings_pages import PAGE, settings_page
 from stage_pages import stage_nav, stage_pages
 
 ROOT = Path(__file__).parents[2]
+TUTORIALS = ROOT / "docs" / "tutorials"
 _LINK = re.compile(r"(?<=\]\()(?!https?://|#)([^)#\s]+)")
 
 
@@ -31,7 +35,7 @@ def on_config(config: Any) -> None:
     """Put the pages that are not in docs/ into the nav."""
     plugins = [page for page in _outside().values() if page.startswith("plugins/")]
     config.nav += [
-        {"Stages": stage_nav()},
+        {"Stages": [*stage_nav(), {"Every setting": PAGE}]},
         {"API": reference_nav()},
         {"Plugins": plugins},
         {"Contributing": ["contributing.md", "changelog.md"]},
@@ -39,14 +43,24 @@ def on_config(config: Any) -> None:
 
 
 def on_files(files: Files, config: Any) -> None:
-    """Add the pages that are not in docs/."""
+    """Add the pages that are not in docs/, and every tutorial as a notebook."""
     outside = {page: (ROOT / source).read_text() for source, page in _outside().items()}
-    for page, text in {**outside, **stage_pages(), **reference_pages()}.items():
+    for page, text in {**outside, **stage_pages(), PAGE: settings_page(), **reference_pages()}.items():
         files.append(File.generated(config, page, content=text))
+    for tutorial in sorted(TUTORIALS.glob("*.md")):
+        content = json.dumps(notebook(tutorial.read_text()), indent=1)
+        files.append(File.generated(config, f"tutorials/{tutorial.stem}.ipynb", content=content))
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links between files of the repository become links between pages; what has no page is left, and mkdocs warns."""
+    """Links between files of the repository become links between pages; what has no page is left, and mkdocs warns.
+
+    A tutorial begins with a link to its notebook.
+    """
+    if page.file.src_uri.startswith("tutorials/"):
+        heading, rest = markdown.split("\n", 1)
+        name = posixpath.basename(page.file.src_uri).removesuffix(".md")
+        markdown = f"{heading}\n\n[This page as a Jupyter notebook]({name}.ipynb)\n{rest}"
     pages = _outside()
     home = {there: source for source, there in pages.items()}
     source = home.get(page.file.src_uri, f"docs/{page.file.src_uri}")

@@ -25,7 +25,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "Experiments": (
         *(f"harness.{name}" for name in ("experiment", "drive", "kinds", "ablate", "rearrange", "attribution")),
-        *(f"harness.{name}" for name in ("runs", "merge", "cache")),
+        *(f"harness.{name}" for name in ("runs", "merge", "cache", "hooks.hook")),
         "settings",
         "parallel",
     ),

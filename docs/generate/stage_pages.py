@@ -5,19 +5,17 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
+from settings_pages import in_cell, registry_page, settings_table
 
 from toolkit.perception import stages as perception
 from toolkit.rearrangement import stages as rearrangement
-from toolkit.registry import Plugin, PluginConfig, Registry
+from toolkit.registry import Plugin, Registry
 from toolkit.stages import REGISTRIES
 from toolkit.weights.cards import CARDS, WeightCard
 
 WINGS = (perception, rearrangement)
-_BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<", "multiple_of": "multiple of"}
 
 
 def stage_pages() -> dict[str, str]:
@@ -26,17 +24,12 @@ def stage_pages() -> dict[str, str]:
     Raises:
         ToolkitError: an implementation does not import.
     """
-    return {"stages/index.md": _overview()} | {f"stages/{_page(r)}": _stage(r) for r in REGISTRIES.values()}
+    return {"stages/index.md": _overview()} | {f"stages/{registry_page(r)}": _stage(r) for r in REGISTRIES.values()}
 
 
 def stage_nav() -> list[str | dict[str, str]]:
     """The pages as a section of the nav."""
-    return ["stages/index.md", *({name: f"stages/{_page(registry)}"} for name, registry in REGISTRIES.items())]
-
-
-def _page(registry: Registry[Any]) -> str:
-    """Plural, as the entry-point group: there is a stage called `index`."""
-    return f"{registry.group.removeprefix('toolkit.')}.md"
+    return ["stages/index.md", *({name: f"stages/{registry_page(registry)}"} for name, registry in REGISTRIES.items())]
 
 
 def _plugins(registry: Registry[Any]) -> Iterator[type[Plugin]]:
@@ -62,8 +55,8 @@ def _overview() -> str:
         "| --- | --- | --- |",
     ]
     for stage, registry in REGISTRIES.items():
-        links = ", ".join(f"[`{p.name}`]({_page(registry)}#{p.name})" for p in _plugins(registry))
-        lines.append(f"| [{stage}]({_page(registry)}) | {_cell(_summary(_protocol(stage)))} | {links} |")
+        links = ", ".join(f"[`{p.name}`]({registry_page(registry)}#{p.name})" for p in _plugins(registry))
+        lines.append(f"| [{stage}]({registry_page(registry)}) | {in_cell(_summary(_protocol(stage)))} | {links} |")
     lines += ["", "## Weights", "", *_weights_table(CARDS.values()), ""]
     return "\n".join(lines)
 
@@ -78,66 +71,20 @@ def _stage(registry: Registry[Any]) -> str:
         "",
         "| name | what it is | weights |",
         "| --- | --- | --- |",
-        *(f"| [`{p.name}`](#{p.name}) | {_cell(_summary(p))} | {_licences(p)} |" for p in plugins),
+        *(f"| [`{p.name}`](#{p.name}) | {in_cell(_summary(p))} | {_licences(p)} |" for p in plugins),
     ]
     for plugin in plugins:
-        lines += ["", f"## {plugin.name}", "", inspect.getdoc(plugin) or "", "", *_settings_table(plugin.Config)]
+        lines += ["", f"## {plugin.name}", "", inspect.getdoc(plugin) or "", "", *settings_table(plugin.Config)]
         if plugin.weights:
             lines += ["", *_weights_table(CARDS[name] for name in plugin.weights)]
     return "\n".join(lines) + "\n"
-
-
-def _settings_table(config: type[BaseModel]) -> list[str]:
-    rows = [
-        f"| `{key}` | {_cell(_type(info))} | {_cell(_default(info))} | {_cell(info.description or '')} |"
-        for key, info in _fields(config)
-    ]
-    head = ["| setting | type | default | meaning |", "| --- | --- | --- | --- |"]
-    return [*head, *rows] if rows else ["It has no settings."]
-
-
-def _fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Settings by dotted key; groups are opened."""
-    for key, info in config.model_fields.items():
-        if isinstance(info.annotation, type) and issubclass(info.annotation, PluginConfig):
-            yield from _fields(info.annotation, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", info
-
-
-def _type(info: FieldInfo) -> str:
-    bounds = [f"{sign} {getattr(m, at)}" for m in info.metadata for at, sign in _BOUNDS.items() if hasattr(m, at)]
-    return ", ".join([_type_name(info.annotation), *bounds])
-
-
-def _type_name(kind: Any) -> str:
-    if get_origin(kind) is Literal:
-        return " or ".join(f"`{value}`" for value in get_args(kind))
-    if kind is type(None):
-        return "none"
-    parts = get_args(kind)
-    if parts and get_origin(kind) is not tuple:
-        return " or ".join(_type_name(part) for part in parts)
-    if parts:
-        return f"({', '.join(_type_name(part) for part in parts)})"
-    names = {"Path": "file or folder", "str": "text", "int": "integer", "float": "number", "bool": "yes or no"}
-    return {**names, "StageChoice": "name, or name and settings"}.get(kind.__name__, kind.__name__)
-
-
-def _default(info: FieldInfo) -> str:
-    if info.is_required():
-        return "required"
-    # What a factory gives depends on the machine the site is built on.
-    if info.default_factory:
-        return "the machine's best"
-    return "none" if info.default is None else f"`{info.default}`"
 
 
 def _weights_table(cards: Any) -> list[str]:
     return [
         "| weights | what they are | licence | MB |",
         "| --- | --- | --- | --- |",
-        *(f"| `{c.name}`<br>{c.file} | {_cell(c.architecture)} | {_licence(c)} | {c.size_mb:.1f} |" for c in cards),
+        *(f"| `{c.name}`<br>{c.file} | {in_cell(c.architecture)} | {_licence(c)} | {c.size_mb:.1f} |" for c in cards),
     ]
 
 
@@ -151,7 +98,3 @@ def _licence(card: WeightCard) -> str:
 
 def _summary(thing: type) -> str:
     return (inspect.getdoc(thing) or "").partition("\n")[0]
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")

@@ -19,14 +19,14 @@ from toolkit.pictures.poses import overlay_picture
 
 
 def main() -> None:
-    """Estimate one capture with the shipped `estimate` experiment and draw it."""
+    """Estimate one capture with the shipped experiment `render_compare`, which is given the masks, and draw it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("out", type=Path)
     options = parser.parse_args()
 
     capture = load_capture(options.capture)
-    pipeline = make_runner(expand(load_experiment("estimate"))[0], cache=None).pipeline
+    pipeline = make_runner(expand(load_experiment("render_compare"))[0], cache=None).pipeline
     database = pipeline.build_database(capture.current)
     estimates = pipeline.estimate(database, capture.goal)
 
@@ -38,7 +38,7 @@ def main() -> None:
         axis.axis("off")
     figure.subplots_adjust(0.005, 0.01, 0.995, 0.92, 0.015, 0.02)
     figure.text(0.245, 0.95, "now: posed RGB-D frames", ha="center", fontsize=15)
-    figure.text(0.755, 0.95, "goal: one RGB image, and where each object goes", ha="center", fontsize=15)
+    figure.text(0.755, 0.95, "goal: one RGB image (masks given), and every place", ha="center", fontsize=15)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out, dpi=110, pil_kwargs={"quality": 88})
 

@@ -35,7 +35,10 @@ MISTAKES = {
     "unknown path": (["ablate", "--set", "pipelin.views=1"], "did you mean 'pipeline'?"),
     "a --set without a value": (["ablate", "--set", "pipeline.views"], "--set takes path.to.key=value"),
     "a value that does not fit": (["ablate", "--set", "pipeline.min_matches=two"], "min_matches"),
-    "too many views": (["ablate", *FEW, "--set", "pipeline.views=3"], "the capture has 2 current frames"),
+    "too many views": (["ablate", *FEW, "--set", "pipeline.views=3"], "a scene has 2 frames"),
+    "no views": (["ablate", "--set", "pipeline.views=0"], "at least one current frame is needed"),
+    "a folder that cannot be made": (["plugin", "new", "matcher", "mine", "--out", "/sys/mine"], "cannot be written"),
+    "a file for a folder": (["dataset", "build", f"{__file__}/d", "--scenes", "1"], "cannot be written"),
     "no such object folder": (["ablate", "--objects", "nowhere"], "is not a folder"),
     "too many objects": (["ablate", "--set", "dataset.max_objects=200"], "max_objects is 200"),
     "a track for its effects": (["ablate", "--set", "dataset.noise=d435"], "--set dataset.track=d435"),
@@ -357,6 +360,14 @@ def test_nothing_found_is_a_sentence_and_exit_1(capture_copy, tmp_path):
 def test_datasets_are_built_and_shown(tmp_path):
     built = toolkit("dataset", "build", tmp_path / "d", "--scenes", 1, "--set", "views=2", "--set", "max_objects=2")
     assert built.returncode == 0, built.stderr
+    one = toolkit("dataset", "show", tmp_path / "d" / "000000")
+    assert one.returncode == 2 and "is one capture" in one.stderr
+    several = toolkit("estimate", tmp_path / "d")
+    assert several.returncode == 2 and "d/000000', or all: toolkit evaluate " in several.stderr
+    (tmp_path / "own").mkdir()
+    shutil.copytree(tmp_path / "d" / "000000", tmp_path / "own" / "mine")
+    (tmp_path / "own" / "mine" / "models_info.json").unlink()
+    assert "captures: 1\nwithout truth" in toolkit("dataset", "show", tmp_path / "own").stdout
     shown = toolkit("dataset", "show", tmp_path / "d")
     assert "captures: 1" in shown.stdout and "rendered by PyBullet" in shown.stdout
     assert (tmp_path / "d" / "overview.png").is_file()

@@ -114,7 +114,7 @@ def test_it_finds_the_motion_without_a_start(object_id):
 
 def test_what_does_not_match_is_a_failure_with_a_reason():
     answer = REFINERS.create("onepose", {"ratio": 0.01}).refine(refine_task(1))
-    assert isinstance(answer, Failure) and "matched with the fused model: 0 correspondences" in answer.reason
+    assert isinstance(answer, Failure) and "matched with the fused model: too few correspondences" in answer.reason
 
 
 def test_its_solver_is_chosen_as_any_other():

@@ -136,7 +136,7 @@ def test_arrays_are_left_alone(solver):
 def test_too_few_correspondences(solver):
     for n in (0, 1, 3, 7):
         problem = make_problem(np.random.default_rng(0), 10).correspondences
-        assert f"{n} correspondences" in failure(solver, problem.points[:n], problem.pixels[:n])
+        assert f"too few correspondences ({n} of" in failure(solver, problem.points[:n], problem.pixels[:n])
 
 
 def test_coincident_and_collinear_points(solver):

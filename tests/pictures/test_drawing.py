@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.pictures.drawing import INLIER, correspondences, overlay, with_legend
+from toolkit.pictures.drawing import INLIER, OUTLIER, correspondences, overlay, with_legend, zoomed
 from toolkit.types import Camera, Frame
 
 SIZES = {"as large": (480, 640), "half": (240, 320), "portrait": (1920, 1080), "odd": (333, 101), "tiny": (2, 3)}
@@ -57,3 +57,19 @@ def test_a_long_sentence_is_folded_beneath_a_picture(size):
     assert lines[1].shape[0] > lines[0].shape[0]
     # Nothing is cut: the last columns stay empty.
     assert (lines[1][:, -4:] == lines[1][0, 0]).all()
+
+
+def test_zooming_in_keeps_points_on_what_they_mark():
+    picture = np.zeros((240, 320, 3), np.uint8)
+    xy = np.array([[200.0, 100.0], [220.0, 112.0]])
+    picture[100, 200] = picture[112, 220] = 255
+    larger, moved = zoomed(picture, xy)
+    assert larger.shape == picture.shape and np.linalg.norm(moved[1] - moved[0]) > 4 * np.linalg.norm(xy[1] - xy[0])
+    assert all(larger[y, x, 0] > 128 for x, y in np.rint(moved).astype(int))
+
+
+def test_without_a_pose_no_match_is_an_inlier():
+    blank = np.zeros((100, 100, 3), np.uint8)
+    xy = np.array([[60.0, 60.0]])
+    picture = correspondences(blank, xy, {0: blank}, np.zeros(1, int), xy, None)
+    assert (picture[..., 0] == OUTLIER[0]).any() and not (picture == INLIER).all(axis=2).any()

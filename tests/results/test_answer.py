@@ -19,7 +19,7 @@ ESTIMATES = [
     PoseEstimate(2, SEGMENT, 2, TURN),
     PoseEstimate(3, SEGMENT, 3, None, Abstention("refiner", "confidence 0.02 is below 0.05")),
     PoseEstimate(4, SEGMENT, None, None, Failure("explainer", "it is new, or hidden in all frames")),
-    PoseEstimate(5, SEGMENT, 5, None, Failure("matcher", "no candidate reached 6 lifted matches")),
+    PoseEstimate(5, SEGMENT, 5, None, Failure("matcher", "too few lifted matches (best candidate: 3, 6 needed)")),
 ]
 WORDS = ["sure", "doubtful", "found", "withheld", "unknown", "failed"]
 
@@ -49,7 +49,7 @@ def test_doubts_come_with_their_reason_and_what_is_sure_without():
         "object 1: the motion is doubtful; 1 other motion would look the same",
         "object 3: withheld: confidence 0.02 is below 0.05",
         "object 4: unknown: it is new, or hidden in all frames",
-        "object 5: failed: no candidate reached 6 lifted matches",
+        "object 5: failed: too few lifted matches (best candidate: 3, 6 needed)",
         "not seen in the goal: #7, #8",
     ]
     assert not list(to_look_at(ESTIMATES[:1], [], []))

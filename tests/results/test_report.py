@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -21,7 +22,7 @@ from toolkit.pictures.drawing import overlay
 from toolkit.results.comparisons import compare_cells, comparison_table
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
-from toolkit.results.rows import read_rows, summarize, write_rows, write_summary
+from toolkit.results.rows import read_rows, summarize, summary_lines, write_rows, write_summary
 from toolkit.results.stats import holm, mcnemar, newcombe_interval
 from toolkit.results.tables import motion_table
 
@@ -44,7 +45,7 @@ def test_the_report_needs_nothing_else(write):
     page = write()
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:|#)", page)
     assert "<script>" not in page and "&lt;script&gt;bad" in page
-    assert "N inliers of N, at least N are needed &lt;b&gt;&amp;" in page
+    assert "too few inliers &lt;b&gt;&amp;" in page
 
 
 def test_the_headline_is_of_the_best_cell(write):
@@ -65,7 +66,7 @@ def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
     # Of seven names, each stands for eight or nine objects; six in sixty are wrong.
     hardest = re.findall(r"<tr><td>(object_\d)</td><td>(\d)</td><td>(\d)</td>", page)
     assert sum(int(seen) - int(right) for _, right, seen in hardest) == 6
-    assert [int(count) for count in re.findall(r"at least N are needed &lt;b&gt;&amp;</td><td>(\d+)<", page)] == [36, 6]
+    assert [int(count) for count in re.findall(r"too few inliers &lt;b&gt;&amp;</td><td>(\d+)<", page)] == [36, 6]
     assert page.count("<svg") >= 2 and "objects in the scene" in page and "symmetry of the object" in page
 
 
@@ -147,6 +148,14 @@ def test_what_is_not_shown_is_said_with_what_would_show_it():
     assert single.verdict == "one scene shows nothing"
 
 
+def test_a_verdict_says_which_of_interval_and_p_value_shows_nothing():
+    (found,) = compare_cells(make_rows("a", 0.9) + make_rows("b", 0.4))
+    over_scenes = replace(found, success=replace(found.success, mean=-0.3, interval=(-0.7, 0.0)), p=0.016)
+    assert over_scenes.verdict.startswith("not shown over scenes: their interval holds 0")
+    over_objects = replace(found, success=replace(found.success, mean=-0.3, interval=(-0.7, -0.1)), p=0.06)
+    assert over_objects.verdict.startswith("not shown object by object: p is not below 0.05")
+
+
 def test_completion_is_compared_by_scene():
     a, b = make_rows("a", 0.9), make_rows("b", 0.5)
     (comparison,) = compare_cells(a + b)
@@ -175,7 +184,7 @@ def test_a_comparison_names_what_it_is_against(width):
 
 def test_the_summary_holds_the_comparisons(tmp_path):
     rows = make_rows("a", 0.9) + make_rows("b", 0.5)
-    write_summary(tmp_path / "summary.csv", summarize(rows), compare_cells(rows))
+    write_summary(tmp_path / "summary.csv", summary_lines(summarize(rows), compare_cells(rows)))
     first, second = csv.DictReader((tmp_path / "summary.csv").open())
     assert first["against"] == "" and second["against"] == "a"
     assert float(second["against_success"]) == pytest.approx(-0.4)

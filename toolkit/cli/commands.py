@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import signal
 import sys
 from typing import Annotated
@@ -37,6 +39,10 @@ def options(
     """Options of the toolkit itself; what they do is done before any command."""
 
 
+_FULL_OR_FORBIDDEN = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
+"""What goes wrong wherever a command writes: no room, no permission, or a file where a folder is to be."""
+
+
 class _Stopped(BaseException):
     """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
 
@@ -48,6 +54,8 @@ def _stop(*_: object) -> None:
 def main() -> None:
     """Entry point: a user's mistake is answered in one or two lines and exit code 2, never with a traceback."""
     signal.signal(signal.SIGINT, _stop)
+    # It warns where a home cannot be written, which costs it a second and nobody else anything.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         app()
     except ToolkitError as error:
@@ -56,6 +64,12 @@ def main() -> None:
     except plugins.CheckFailedError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(1)
+    except OSError as error:
+        if error.errno not in _FULL_OR_FORBIDDEN:
+            raise
+        what = f"'{error.filename}' cannot be written or opened" if error.filename else "a file cannot be written"
+        sys.stderr.write(f"error: {what}: {error.strerror}; name another folder ($TOOLKIT_CACHE names the cache's)\n")
+        sys.exit(2)
     except _Stopped:
         sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
         sys.exit(130)

@@ -104,7 +104,8 @@ def _simulator() -> Iterator[str]:
 def _cache_state() -> str:
     root = cache_root()
     if not root.exists():
-        return "not made yet"
+        above = next(folder for folder in root.parents if folder.exists())
+        return "not made yet" if os.access(above, os.W_OK) else "cannot be made; name another in $TOOLKIT_CACHE"
     size = sum(_size(Path(folder) / name) for folder, _, files in os.walk(root) for name in files)
     return f"{size / 1e9:.2f} GB" if os.access(root, os.W_OK) else "cannot be written; nothing will be kept"
 

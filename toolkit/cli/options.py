@@ -94,6 +94,7 @@ def run_options(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the newest such run.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start again where a run lies.")] = False,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither keep nor reuse stage outputs.")] = False,
+    log: Annotated[list[str], typer.Option(metavar="NAME", help="A hook that follows: tensorboard or yours.")] = [],  # noqa: B006
 ) -> RunOptions:
     """How to run; the options of the dataset go into `choices`, as if --set had named them.
 
@@ -117,6 +118,7 @@ def run_options(
         fresh=fresh,
         use_cache=not no_cache,
         plugin_files=tuple(choices["plugin"]),
+        log=tuple(dict.fromkeys(log)),
     )
 
 

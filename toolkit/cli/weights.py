@@ -24,7 +24,7 @@ def weights_list() -> None:
     from toolkit.weights.resolve import find_weights
 
     users = _users()
-    table = listing("name", "for", "what it is", "licence", "MB", "here", typed=("name", "MB", "here"))
+    table = listing("name", "for", "what it is", "licence", "MB", "here", typed=("name", "for", "MB", "here"))
     for name, card in sorted(CARDS.items()):
         licence = Text.assemble(card.licence, (" (non-commercial)" * card.non_commercial, "red"))
         here = "yes" if find_weights(card) else "no"
@@ -59,7 +59,7 @@ def weights_where(name: Annotated[str, typer.Argument(help="A name from `toolkit
 
 
 def _users() -> dict[str, str]:
-    """Checkpoint -> stage and name of what may use it, a line for each that can be loaded."""
+    """Checkpoint -> stage and name of what may use it, one below the other, for each that can be loaded."""
     from toolkit.stages import REGISTRIES
 
     users: dict[str, str] = {}
@@ -67,5 +67,5 @@ def _users() -> dict[str, str]:
         for name in registry.names():
             with suppress(ToolkitError):
                 for card in registry.get(name).weights:
-                    users[card] = "\n".join(filter(None, (users.get(card), f"{registry.stage} {name}")))
+                    users[card] = "\n".join(filter(None, (users.get(card), f"{registry.stage}\n{name}")))
     return users

@@ -100,6 +100,10 @@ def read_dataset(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise ToolkitError(f"dataset '{folder}' does not exist")
+    if (folder / "current").is_dir():
+        raise ToolkitError(
+            f"'{folder}' is one capture, and no folder of captures; ask `toolkit capture check {folder}` what is in it"
+        )
     captures = sorted(p for p in folder.iterdir() if (p / "current").is_dir() and not p.name.startswith("."))
     if not captures:
         raise ToolkitError(f"dataset '{folder}' holds no capture (a folder with current/ and goal/)")

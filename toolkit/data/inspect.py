@@ -34,18 +34,24 @@ def describe(dataset: Path) -> Iterator[str]:
         yield "settings: " + ", ".join(f"{key}={value}" for key, value in recipe["config"].items())
     counts: Counter[int] = Counter()
     names: Counter[str] = Counter()
-    only_current = only_goal = 0
+    only_current = only_goal = unknown = 0
     for folder in captures:
         capture = load_capture(folder)
-        truth = capture.truth or {}
-        counts[len(truth)] += 1
-        names.update(item.model.name for item in truth.values())
+        if capture.truth is None:
+            unknown += 1
+            continue
+        counts[len(capture.truth)] += 1
+        names.update(item.model.name for item in capture.truth.values())
         only_current += len(capture.only_current)
         only_goal += len(capture.only_goal)
-    yield f"captures: {len(captures)}; objects: {sum(names.values())}, {len(names)} different ones"
+    known = f"objects: {sum(names.values())}, {len(names)} different ones"
+    yield f"captures: {len(captures)}" + (f"; {known}" if counts else "")
+    if unknown:
+        yield f"without truth, so that nobody knows their objects: {unknown}"
     if only_current or only_goal:
         yield f"objects in the current scene only: {only_current}; in the goal only: {only_goal}"
-    yield "scenes by number of objects: " + ", ".join(f"{n}: {counts[n]}" for n in sorted(counts))
+    if counts:
+        yield "scenes by number of objects: " + ", ".join(f"{n}: {counts[n]}" for n in sorted(counts))
 
 
 def contact_sheet(dataset: Path) -> Path:

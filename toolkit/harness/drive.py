@@ -12,6 +12,8 @@ from toolkit.errors import ToolkitError
 from toolkit.harness.ablate import Ablation
 from toolkit.harness.cache import Cache
 from toolkit.harness.experiment import Experiment, expand
+from toolkit.harness.hooks.following import Following
+from toolkit.harness.hooks.hook import Start
 from toolkit.harness.kinds import Job, RunKind, TaskT
 from toolkit.harness.rearrange import Rearrangement
 from toolkit.harness.runs import (
@@ -28,7 +30,7 @@ from toolkit.harness.worker import workers_for
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.results.folder import ROWS, SUMMARY
-from toolkit.results.rows import RowT, append_rows, read_rows_as, write_rows, write_summary
+from toolkit.results.rows import RowT, append_rows, read_rows_as, summary_lines, write_rows, write_summary
 
 
 def drive(
@@ -56,26 +58,32 @@ def drive(
         raise ToolkitError(f"shard {options.shard} holds no scene: there are fewer scenes than shards")
     cache = Cache(cache_root() / "stages") if options.use_cache else None
     resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
-    with workers_for(experiment, options, progress) as workers:
-        with writable("the run folder"):
-            run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
-            done = finished(run, kind.row)
-        job = Job(run, cells, options.shard, done, cache, workers, progress)
-        work = kind.work(job)
+    with Following(options.log, progress) as hooks:
+        with workers_for(experiment, options, progress) as workers:
+            with writable("the run folder"):
+                run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
+                done = finished(run, kind.row)
+            job = Job(run, cells, options.shard, done, cache, workers, progress)
+            work = kind.work(job)
+            with writable(f"'{run}'"):
+                write_meta(run, experiment, weights, work.datasets)
+                count = sum(len(task.cells) for task in work.tasks)
+                hooks.begin(Start(run, experiment.name, experiment.title or experiment.name, resolved, count))
+                with progress.step(kind.doing, count) as advance:
+                    for cells_done, rows in workers.map(partial(_run_scene, kind), work.tasks):
+                        append_rows(run / ROWS, rows)
+                        hooks.rows(rows)
+                        advance(cells_done)
         with writable(f"'{run}'"):
-            write_meta(run, experiment, weights, work.datasets)
-            with progress.step(kind.doing, sum(len(task.cells) for task in work.tasks)) as advance:
-                for cells_done, rows in workers.map(partial(_run_scene, kind), work.tasks):
-                    append_rows(run / ROWS, rows)
-                    advance(cells_done)
-    with writable(f"'{run}'"):
-        rows = in_order(read_rows_as(kind.row, run / ROWS), [cell.name for cell in cells])
-        write_rows(run / ROWS, rows)
-        write_summary(run / SUMMARY, kind.summarize(rows), kind.compare(rows, experiment.reference))
-        kind.illustrate(job, rows)
-        with progress.step("Writing the report", 1) as advance:
-            kind.write_page(run)
-            advance(1)
+            rows = in_order(read_rows_as(kind.row, run / ROWS), [cell.name for cell in cells])
+            write_rows(run / ROWS, rows)
+            lines = summary_lines(kind.summarize(rows), kind.compare(rows, experiment.reference))
+            write_summary(run / SUMMARY, lines)
+            hooks.table(lines)
+            kind.illustrate(job, rows)
+            with progress.step("Writing the report", 1) as advance:
+                kind.write_page(run)
+                advance(1)
     return run
 
 

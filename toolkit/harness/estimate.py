@@ -19,7 +19,7 @@ from toolkit.pictures.findings import illustrated
 from toolkit.pictures.poses import missing_instances, write_poses
 from toolkit.progress import Progress
 from toolkit.results.folder import ROWS, SUMMARY
-from toolkit.results.rows import Row, summarize, write_rows, write_summary
+from toolkit.results.rows import Row, summarize, summary_lines, write_rows, write_summary
 from toolkit.results.scoring import score
 from toolkit.types import Capture, Finding, Float, PoseEstimate
 
@@ -98,7 +98,7 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
             advance(1)
     if rows:
         with writable(f"'{out}'"):
-            write_summary(out / SUMMARY, summarize(rows))
+            write_summary(out / SUMMARY, summary_lines(summarize(rows)))
     return rows
 
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError, suggest
+from toolkit.harness.hooks import HOOKS
 from toolkit.perception.pipeline import PipelineSettings
 from toolkit.rearrangement.episode import EpisodeSettings
 from toolkit.registry import Registry, StageChoice, load_plugin_file, validated
@@ -52,7 +53,7 @@ class CellSpec(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str
+    name: str = Field(description="What tables call it.")
     set: dict[str, Any] = Field(default_factory=dict[str, Any], description="Changed values by path.")
 
 
@@ -61,33 +62,31 @@ class NamedValue(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str
-    value: Any
+    name: str = Field(description="What tables call it.")
+    value: Any = Field(description="What is set.")
 
 
 class Experiment(BaseModel):
-    """A validated experiment file.
-
-    Attributes:
-        name: of its runs' folder.
-        title: of its reports; the name when left out.
-        description: what is compared, in a sentence.
-        reference: the cell that all others are compared with, by its name or that of its entry in `cells`; the first
-            one of the same scenes when left out.
-    """
+    """A validated experiment file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
-    title: str = ""
-    description: str = ""
-    reference: str = ""
-    seed: int = Field(0, ge=0)
-    plugins: tuple[Path, ...] = ()
-    dataset: dict[str, Any]
-    pipeline: dict[str, Any]
-    rearrange: dict[str, Any] | None = None
-    cells: tuple[CellSpec, ...] = ()
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$", description="Of its runs' folder.")
+    title: str = Field("", description="Of its reports; the name when left out.")
+    description: str = Field("", description="What is compared, in a sentence.")
+    reference: str = Field(
+        "",
+        description="The cell that all others are compared with, by its name or that of its entry in `cells`; the "
+        "first one of the same scenes when left out.",
+    )
+    seed: int = Field(0, ge=0, description="Seed of scenes and stages.")
+    plugins: tuple[Path, ...] = Field((), description="Plugin files that are not installed, from the YAML's folder.")
+    dataset: dict[str, Any] = Field(description="The scenes.")
+    pipeline: dict[str, Any] = Field(description="What estimates motions.")
+    rearrange: dict[str, Any] | None = Field(None, description="What moves objects, for `toolkit rearrange`.")
+    cells: tuple[CellSpec, ...] = Field(
+        (), description="Settings that are compared, by name; each is run with every sweep."
+    )
     sweep: dict[str, list[Annotated[NamedValue | Any, Field(union_mode="left_to_right")]]] = Field(
         default_factory=dict[str, list[Any]], description="Values by path; {name: ..., value: ...} names one."
     )
@@ -196,7 +195,7 @@ def register_plugin_file(file: Path) -> None:
     Raises:
         ToolkitError: the file is absent, does not import, or holds no plugin.
     """
-    if register_module(load_plugin_file(file), origin=str(file)) == 0:
+    if register_module(load_plugin_file(file), str(file), {**REGISTRIES, HOOKS.stage: HOOKS}) == 0:
         raise ToolkitError(f"plugin file '{file}' defines no Plugin class with `stage` and `name`")
 
 
@@ -223,6 +222,10 @@ def expand(experiment: Experiment) -> list[Cell]:
             pipeline = validated(PipelineChoice, data["pipeline"], "pipeline")
             settings = {"cell": base.name, **base.set, **swept} if base.name else swept
             dataset = resolve_settings(data["dataset"], experiment.seed)
+            if pipeline.views != "all" and pipeline.views > (frames := dataset.get("views", pipeline.views)):
+                raise ToolkitError(
+                    f"pipeline.views is {pipeline.views}, but a scene has {frames} frames: dataset.views"
+                )
             rearrange = validated(RearrangeChoice, data["rearrange"], "rearrange") if "rearrange" in data else None
             cell = Cell(name, settings, experiment.seed, dataset, pipeline, rearrange)
             cell.resolved()

@@ -15,7 +15,7 @@ from toolkit.harness.kinds import RunKind
 from toolkit.harness.runs import Shard, in_order, open_run, read_resolved, require_run, writable
 from toolkit.results.about import About
 from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
-from toolkit.results.rows import read_rows_as, write_rows, write_summary
+from toolkit.results.rows import read_rows_as, summary_lines, write_rows, write_summary
 
 _SAME = {"source": "code", "versions": "library versions", "weights": "weights"}
 """Entries of meta.json in which shards must agree, or their rows are not of one experiment."""
@@ -117,4 +117,4 @@ def _write_rows(out: Path, shards: Mapping[Shard, Path], cells: Sequence[str], k
         rows += own
     rows = in_order(rows, cells)
     write_rows(out / ROWS, rows)
-    write_summary(out / SUMMARY, kind.summarize(rows), kind.compare(rows, About.read(out).reference))
+    write_summary(out / SUMMARY, summary_lines(kind.summarize(rows), kind.compare(rows, About.read(out).reference)))

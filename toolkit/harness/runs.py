@@ -71,6 +71,7 @@ class RunOptions:
         fresh: start `out` again even where it holds a run.
         use_cache: False computes everything anew and keeps nothing.
         plugin_files: plugin files that are not installed; workers load them too.
+        log: names of the hooks that follow the run.
     """
 
     out: Path | None = None
@@ -82,6 +83,7 @@ class RunOptions:
     fresh: bool = False
     use_cache: bool = True
     plugin_files: tuple[Path, ...] = ()
+    log: tuple[str, ...] = ()
 
 
 def resolve(name: str, cells: Sequence[Mapping[str, Any]], shard: Shard = WHOLE) -> dict[str, Any]:

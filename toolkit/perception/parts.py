@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from toolkit.perception.meter import Meter
 from toolkit.perception.stages import (
@@ -44,6 +44,13 @@ class PipelineSettings(PluginConfig):
     crop_margin: float = Field(
         default=0.05, ge=0, le=1, description="Free border of a crop, as a part of the longer side of its box."
     )
+
+    @field_validator("views")
+    @classmethod
+    def _some(cls, views: int | str) -> int | str:
+        if views != "all" and int(views) < 1:
+            raise ValueError("at least one current frame is needed")
+        return views
 
 
 _DEFAULTS = PipelineSettings()

@@ -83,6 +83,6 @@ class Pipeline(Parts):
         views = self.settings.views
         if views == "all":
             return list(frames)
-        if not 1 <= views <= len(frames):
+        if views > len(frames):
             raise ToolkitError(f"pipeline.views is {views}, but the capture has {len(frames)} current frames")
         return [frames[len(frames) * i // views] for i in range(views)]

@@ -102,7 +102,9 @@ class Scene:
         found = search_candidates(self._parts, self._references, goal, segment, ranking)
         if not found.accepted:
             wanted = self._parts.settings.min_matches
-            failure = Failure("matcher", f"no candidate reached {wanted} lifted matches (best: {found.most_matches})")
+            failure = Failure(
+                "matcher", f"too few lifted matches (best candidate: {found.most_matches}, {wanted} needed)"
+            )
             instance = None if found.first is None else int(instances[found.first])
             return PoseEstimate(number, segment, instance, None, failure, matcher_calls=found.matcher_calls)
         by_instance: dict[int, list[Accepted]] = {}

@@ -27,6 +27,9 @@ _PLATE = (24, 24, 28)
 _SPLAT_RADIUS_PX = 3
 _MAX_FRAMES = 3
 
+_AROUND, _LEAST_PART = 0.04, 0.2
+"""Of a picture's size: the margin around points that are zoomed in on, and the smallest part that is shown."""
+
 
 @dataclass(frozen=True)
 class _Lettering:
@@ -79,7 +82,10 @@ class _Lettering:
 
 
 def overlay(
-    goal: Frame, outlines: Sequence[tuple[str, Float, Color]], masks: Sequence[tuple[str, Mask, Color]] = ()
+    goal: Frame,
+    outlines: Sequence[tuple[str, Float, Color]],
+    masks: Sequence[tuple[str, Mask, Color]] = (),
+    places: Sequence[tuple[Mask, Color]] = (),
 ) -> Image:
     """Draw outlines of moved point clouds and of masks on the goal image.
 
@@ -87,22 +93,25 @@ def overlay(
         goal: the goal image and its camera.
         outlines: label, (N, 3) world points already moved to the goal, and colour, one per object.
         masks: label, (H, W) bool, and colour, one per object without a motion; they are tinted.
+        places: (H, W) bool, and colour, of what is outlined without a label.
 
     Returns:
         (H, W, 3) uint8.
     """
     picture, letters = goal.rgb.copy(), _Lettering.of(goal.rgb)
-    drawn = [(label, _silhouette(goal, points), color) for label, points, color in outlines]
-    for label, mask, color in masks:
+    for _, mask, color in masks:
         picture[mask] = np.rint((1 - _TINT) * picture[mask] + _TINT * np.array(color)).astype(np.uint8)
-        contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        drawn.append((label, [np.asarray(c, np.int32) for c in contours], color))
+    drawn = [
+        *(("", _contours(mask), color) for mask, color in places),
+        *((label, _silhouette(goal, points), color) for label, points, color in outlines),
+        *((label, _contours(mask), color) for label, mask, color in masks),
+    ]
     drawn = [entry for entry in drawn if entry[1]]
     for _, contours, color in drawn:
         cv2.polylines(picture, contours, True, (0, 0, 0), letters.px(4), cv2.LINE_AA)
         cv2.polylines(picture, contours, True, color, letters.px(2), cv2.LINE_AA)
     taken: list[tuple[int, int, int, int]] = []
-    for label, contours, color in drawn:
+    for label, contours, color in (entry for entry in drawn if entry[0]):
         center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken, letters)
         taken.append(_plate(picture, label, center, letters))
         _write_label(picture, label, center, color, letters)
@@ -144,6 +153,11 @@ def with_legend(picture: Image, entries: Sequence[tuple[str, Color]]) -> Image:
     return np.vstack([picture, strip])
 
 
+def _contours(mask: Mask) -> list[NDArray[np.int32]]:
+    found = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    return [np.asarray(contour, np.int32) for contour in found]
+
+
 def _silhouette(goal: Frame, points: Float) -> list[NDArray[np.int32]]:
     """Outer contours of the projected points, splatted and closed."""
     pixels, _ = project(goal.camera.K, invert(goal.camera.T_world_camera), points)
@@ -165,7 +179,7 @@ def correspondences(
     frame_rgbs: Mapping[int, Image],
     frame_of: NDArray[np.int64],
     frame_xy: Float,
-    inliers: Mask,
+    inliers: Mask | None,
     max_lines: int = 24,
 ) -> Image:
     """Draw correspondences from the goal (left) to the current frames with most inliers (right, stacked).
@@ -176,12 +190,14 @@ def correspondences(
         frame_rgbs: current images by frame index, (H', W', 3) uint8 of any sizes.
         frame_of: (N,) frame index of every correspondence.
         frame_xy: (N, 2) pixels in its frame.
-        inliers: (N,) bool; green lines, the others red.
+        inliers: (N,) bool; green lines, the others red. None where no pose was accepted: all are red.
         max_lines: lines drawn per frame, evenly picked.
 
     Returns:
         (H, W', 3) uint8.
     """
+    counted = f"goal: {len(goal_xy)} matches" + ("" if inliers is None else f", {int(inliers.sum())} inliers")
+    inliers = np.zeros(len(goal_xy), bool) if inliers is None else inliers
     best = sorted(frame_rgbs, key=lambda index: (-int(inliers[frame_of == index].sum()), index))[:_MAX_FRAMES]
     height, width = goal_rgb.shape[:2]
     tile_height = max(height // len(best), 1)
@@ -202,9 +218,30 @@ def correspondences(
     for row, index in enumerate(best):
         at = (width + letters.px(34), row * tile_height + letters.px(18))
         _write_label(picture, f"frame {index}", at, (255, 255, 255), letters)
-    counted = f"goal: {int(inliers.sum())} inliers of {len(inliers)}"
     _write_label(picture, counted, (letters.px(110), letters.px(18)), (255, 255, 255), letters)
     return picture
+
+
+def zoomed(picture: Image, xy: Float) -> tuple[Image, Float]:
+    """The part of a picture around points, as large as the picture was.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        xy: (N, 2) pixels, at least one.
+
+    Returns:
+        (H, W, 3) uint8, and where the points are in it.
+    """
+    size = np.array(picture.shape[1::-1])
+    inside = np.clip(xy, 0, size - 1)
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    part = float(np.clip(((high - low) / size).max() + 2 * _AROUND, _LEAST_PART, 1))
+    window = np.maximum(np.rint(part * size), 1).astype(int)
+    x, y = np.clip(np.rint((low + high - window) / 2), 0, size - window).astype(int)
+    cut = picture[y : y + window[1], x : x + window[0]]
+    larger = np.asarray(cv2.resize(cut, (int(size[0]), int(size[1])), interpolation=cv2.INTER_CUBIC), np.uint8)
+    # Pixel centres: (0, 0) stays the centre of the first pixel after scaling.
+    return larger, (xy - (x, y) + 0.5) * (size / window) - 0.5
 
 
 def scaled_to_height(picture: Image, height: int) -> Image:

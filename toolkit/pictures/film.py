@@ -1,4 +1,4 @@
-"""Films of rearrangements: the goal image beside the table as it changes, as MP4; and its objects' poses, for Rerun."""
+"""Films of rearrangements: the goal beside the table as it changes, as MP4; and its objects' poses, for Rerun."""
 
 from __future__ import annotations
 
@@ -36,8 +36,15 @@ class Filmable(Protocol):
     on_step: Callable[[], None] | None
     """Called at every step of a motion."""
 
+    moves: int
+    """Moves begun so far."""
+
     def snapshot(self) -> Image:
-        """(H, W, 3) uint8 picture of the table now, from the home view."""
+        """(H, W, 3) uint8 picture of the table now."""
+        ...
+
+    def goal_snapshot(self) -> Image:
+        """(H, W, 3) uint8 picture of the table as it should become, seen from where `snapshot` is."""
         ...
 
     def goal_picture(self) -> Image:
@@ -95,9 +102,10 @@ class Film:
             self._on_frame(self._frames / _FRAMES_PER_S)
         self._frames += frames
         now = self._executor.snapshot()
-        goal = scaled_to_height(self._executor.goal_picture(), now.shape[0])
+        goal = scaled_to_height(self._executor.goal_snapshot(), now.shape[0])
         picture = np.hstack([goal, now])
-        for text, x in (("goal", 0), ("now", goal.shape[1])):
+        moves = self._executor.moves
+        for text, x in (("goal", 0), (f"move {moves}" if moves else "before", goal.shape[1])):
             cv2.putText(picture, text, (x + 16, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2, cv2.LINE_AA)
         if self._writer is None:
             height, width = picture.shape[:2]

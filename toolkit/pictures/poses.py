@@ -16,12 +16,12 @@ from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.perception.extents import measure_extent
 from toolkit.perception.fusion import Clouds
-from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend
+from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend, zoomed
 from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.poses import POSES, SCHEMA, Found, GoalObject, Instance, Poses
 from toolkit.results.rows import Row
-from toolkit.types import Capture, Finding, Float, PoseEstimate
+from toolkit.types import Capture, Finding, Float, Mask, PoseEstimate
 
 _MASKS, _MODELS = "masks", "models"
 
@@ -146,17 +146,26 @@ def overlay_picture(
     Returns:
         (H', W, 3) uint8, the goal image on top.
     """
+    picture = overlay(capture.goal, _outlines(database, estimates), _masks(estimates))
+    missing = missing_instances(database, estimates)
+    absent = [f"not seen in the goal: {', '.join(f'#{i}' for i in missing)}"] if missing else []
+    said = [(f"{finding.severity}: {finding.sentence}", _DOUBTFUL) for finding in findings]
+    return with_legend(picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent), *said])
+
+
+def _outlines(database: Database, estimates: Sequence[PoseEstimate]) -> list[tuple[str, Float, Color]]:
+    """Label, (N, 3) world points moved to the goal, and colour of every object with a motion."""
     outlines: list[tuple[str, Float, Color]] = []
     for estimate in estimates:
         if estimate.T_goal_current is not None and estimate.instance is not None:
             points = np.concatenate([database.regions[row].points for row in database.instance(estimate.instance)])
             outlines.append((_label(estimate), estimate.move(points), _color(estimate)))
-    masks = [(_label(e), e.segment.mask, _color(e)) for e in estimates if e.T_goal_current is None]
-    picture = overlay(capture.goal, outlines, masks)
-    missing = missing_instances(database, estimates)
-    absent = [f"not seen in the goal: {', '.join(f'#{i}' for i in missing)}"] if missing else []
-    said = [(f"{finding.severity}: {finding.sentence}", _DOUBTFUL) for finding in findings]
-    return with_legend(picture, [*LEGEND.items(), *((line, _PLAIN) for line in absent), *said])
+    return outlines
+
+
+def _masks(estimates: Sequence[PoseEstimate]) -> list[tuple[str, Mask, Color]]:
+    """Label, (H, W) bool and colour of every object without a motion."""
+    return [(_label(e), e.segment.mask, _color(e)) for e in estimates if e.T_goal_current is None]
 
 
 def missing_instances(database: Database, estimates: Sequence[PoseEstimate]) -> list[int]:
@@ -181,7 +190,10 @@ def _color(estimate: PoseEstimate) -> Color:
 
 
 def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate) -> np.ndarray | None:
-    """The correspondences of one object, goal beside current frames (uint8 RGB); None when there are none."""
+    """The correspondences of one object, goal beside current frames, each zoomed in on them (uint8 RGB).
+
+    None when there are none.
+    """
     problem = estimate.correspondences
     if problem is None or not len(problem):
         return None
@@ -189,21 +201,29 @@ def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate
     frame_of = np.array([database.regions[row].frame_index for row in rows])
     frames = {frame.index: frame for frame in database.frames}
     xy = np.zeros((len(problem), 2))
-    for index in np.unique(frame_of):
-        camera = frames[int(index)].camera
+    images: dict[int, np.ndarray] = {}
+    for index in map(int, np.unique(frame_of)):
+        camera = frames[index].camera
         seen = frame_of == index
-        xy[seen] = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
-    inliers = np.zeros(len(problem), bool) if estimate.inliers is None else estimate.inliers
-    images = {index: frames[index].rgb for index in map(int, np.unique(frame_of))}
-    return correspondences(capture.goal.rgb, problem.pixels, images, frame_of, xy, inliers)
+        pixels = project(camera.K, invert(camera.T_world_camera), problem.points[seen])[0]
+        images[index], xy[seen] = zoomed(frames[index].rgb, pixels)
+    goal, goal_xy = zoomed(capture.goal.rgb, problem.pixels)
+    return correspondences(goal, goal_xy, images, frame_of, xy, estimate.inliers)
 
 
 def write_case(folder: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
-    """Write one object of a scored capture as FOLDER/<scene>_<object>.png, with its caption as .txt beside it."""
+    """Write one object of a scored capture as FOLDER/<scene>_<object>.png, with its caption as .txt beside it.
+
+    The picture shows its true place, the place estimated, and the correspondences used.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks or {})
     estimate = estimates[answers[row.object]] if row.object in answers else None
-    picture = overlay_picture(capture, database, [e for e in estimates if e is estimate])
+    shown = [] if estimate is None else [estimate]
+    true_masks = capture.goal.true_masks or {}
+    places = [(true_masks[row.object], _PLAIN)] if row.object in true_masks else []
+    picture = overlay(capture.goal, _outlines(database, shown), _masks(shown), places)
+    picture = with_legend(picture, [("true place", _PLAIN), *LEGEND.items()])
     matches = None if estimate is None else matches_picture(capture, database, estimate)
     if matches is not None:
         picture = np.hstack([picture[: len(matches)], matches])

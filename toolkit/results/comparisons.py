@@ -75,13 +75,23 @@ class Comparison:
             return "one scene shows nothing"
         if self.discordant == 0:
             return "the same on every object"
-        said, points_seen, visible = "no difference shown", 100 * abs(seen.mean), 100 * self._visible
+        said, points_seen, visible = self._unshown, 100 * abs(seen.mean), 100 * self._visible
         if points_seen < visible:
             said += f"; a difference of {visible:.0f} points would most likely have shown"
         needed = self._needed
         if needed > _MANY_SCENES:
             return said
         return f"{said}; if the {points_seen:.1f} points seen are real, about {_rounded(needed)} scenes show it"
+
+    @property
+    def _unshown(self) -> str:
+        """Which of the two, the interval over scenes and the p-value over objects, shows no difference."""
+        low, high = self.success.interval
+        if self.p < _ALPHA:
+            return "not shown over scenes: their interval holds 0 (p takes objects of one scene for independent)"
+        if not low <= 0 <= high:
+            return f"not shown object by object: p is not below {_ALPHA:g}"
+        return "no difference shown"
 
     @property
     def _alpha(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
@@ -258,13 +258,17 @@ def _p90(values: Float) -> float:
     return float(np.quantile(values, 0.9, method="inverted_cdf"))
 
 
-def write_summary(path: Path, summaries: Sequence[object], comparisons: Sequence[object] = ()) -> None:
-    """Write summary.csv: one line per cell, every figure with its interval, and how it compares with which other cell.
+def summary_lines(summaries: Sequence[object], comparisons: Sequence[object] = ()) -> list[dict[str, Any]]:
+    """One line per cell: every figure with its interval, and how it compares with which other cell.
 
     Both are dataclasses with a `cell`.
     """
     compared = {line["cell"]: line for line in map(_flat, comparisons)}
-    lines = [{**line, **_compared(compared.get(line["cell"], {}))} for line in map(_flat, summaries)]
+    return [{**line, **_compared(compared.get(line["cell"], {}))} for line in map(_flat, summaries)]
+
+
+def write_summary(path: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+    """Write summary.csv from `summary_lines`."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(dict.fromkeys(key for line in lines for key in line)), lineterminator="\n")
     writer.writeheader()

@@ -40,8 +40,8 @@ class FingerJoint(_Part):
 class Drive(_Part):
     """The value of the gripper's drive, radians or metres."""
 
-    open: float
-    closed: float
+    open: float = Field(description="The drive's value with the fingers apart, radians or metres.")
+    closed: float = Field(description="The drive's value with the fingers together, radians or metres.")
 
 
 class GripperPart(_Part):
@@ -75,7 +75,7 @@ class GripperPart(_Part):
 class CameraPart(_Part):
     """A camera on a link: where it looks from, with OpenCV's axes (z forward, y down)."""
 
-    link: str
+    link: str = Field(description="The link it is mounted on.")
     xyz: _Three = Field((0.0, 0.0, 0.0), description="Metres, in the link's frame.")
     rpy: _Three = Field((0.0, 0.0, 0.0), description="Radians, as in a URDF.")
 

@@ -49,7 +49,8 @@ def fetch(source: str, target: Path, sha256: str | None = None, size_mb: float |
     target.parent.mkdir(parents=True, exist_ok=True)
     with new_file(target) as arriving:
         if scheme in _FROM_PACKAGE and (scheme != "hf" or has_hub()):
-            with Console(stderr=True).status(f"Fetching {address}"):
+            size = f" (about {size_mb:.0f} MB)" if size_mb else ""
+            with Console(stderr=True).status(f"Fetching {address}{size}"):
                 _FROM_PACKAGE[scheme](address, arriving)
         elif scheme == "shipped":
             raise OSError(f"this installation lacks its file {SHIPPED / address}")

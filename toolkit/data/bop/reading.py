@@ -31,6 +31,11 @@ def load_capture(folder: Path, masks: Path | None = None) -> Capture:
     """
     if not folder.is_dir():
         raise ToolkitError(f"capture '{folder}' does not exist")
+    if not (folder / "current").is_dir() and (inside := sorted(folder.glob("*/current"))):
+        raise ToolkitError(
+            f"'{folder}' is a folder of captures; name one of them, such as '{inside[0].parent}', "
+            f"or all: toolkit evaluate {folder}"
+        )
     if masks is not None:
         masked_scenes(masks)
     notes = Notes()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from pydantic import Field
 
 from toolkit.data.bop.images import DEPTHS, PICTURES
 from toolkit.data.bop.poses import rigid
@@ -26,7 +27,7 @@ class Open3DConfig(PluginConfig):
 
     intrinsics: Intrinsics | None = None
     depth_scale: DepthScale = 1.0
-    trajectory: str | None = None
+    trajectory: str | None = Field(None, description="the trajectory's file in the folder, where it has another name")
 
 
 class Open3D(Plugin[Open3DConfig], Importer):

@@ -77,6 +77,9 @@ class Arm(Plugin[ArmConfig], Executor):
     on_step: Callable[[], None] | None = None
     """Called at every few steps of a move, for films."""
 
+    moves: int = 0
+    """Moves begun so far."""
+
     def __init__(self, config: ArmConfig | None = None) -> None:
         super().__init__(config)
         self._opened = ExitStack()
@@ -114,7 +117,7 @@ class Arm(Plugin[ArmConfig], Executor):
         self.check_ready()
         self.close()
         self._task = task
-        self._moves = self._steps = 0
+        self.moves = self._steps = 0
         base = base_pose(self.config)
         bodies = [(asset.hulls, asset.mass_kg) for asset in task.assets]
         with ExitStack() as opened:
@@ -160,10 +163,16 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def snapshot(self) -> Image:
         """(H, W, 3) picture of table and arm from beside the table, for films."""
+        return self._filming().picture(self._bench)
+
+    def goal_snapshot(self) -> Image:
+        return self._filming().goal(self._bench)
+
+    def _filming(self) -> FilmSet:
         if self._film_set is None:
             film_set = FilmSet(self._task, self._model, base_pose(self.config))
             self._film_set = self._opened.enter_context(closing(film_set))
-        return self._film_set.picture(self._bench)
+        return self._film_set
 
     def goal_picture(self) -> Image:
         return self._goal.rgb
@@ -173,7 +182,7 @@ class Arm(Plugin[ArmConfig], Executor):
         number = self._bench.under(request.points[:: max(1, len(request.points) // _RAYS)])
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
-        self._moves += 1
+        self.moves += 1
         before = self._bench.pose(number)
         failure = self._carry_out(number, request)
         moved = self._bench.pose(number) @ invert(before)
@@ -184,7 +193,7 @@ class Arm(Plugin[ArmConfig], Executor):
         if not self._task.table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
         asked = GraspRequest.of(request, self._model.gripper, self.config.approach_m)
-        grasps = self._grasper.grasp(asked, self._moves)
+        grasps = self._grasper.grasp(asked, self.moves)
         if isinstance(grasps, Failure):
             wide, opens = Footprint.of(request.points).width, self._model.gripper.stroke_m
             if wide <= opens:
@@ -209,7 +218,7 @@ class Arm(Plugin[ArmConfig], Executor):
         self._mover.back_off(reach.way_out(self._bench.target), number)
 
     def _reach(self) -> Reach:
-        return Reach(self._clearance, self._planner, self.config.approach_m, self._moves)
+        return Reach(self._clearance, self._planner, self.config.approach_m, self.moves)
 
     def _slipped(self, pose: Float, wanted: Float) -> Failure | None:
         shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))

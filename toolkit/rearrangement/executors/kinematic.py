@@ -54,6 +54,9 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
     on_step: Callable[[], None] | None = None
     """Called at every step of a move, for films."""
 
+    moves: int = 0
+    """Moves begun so far."""
+
     def __init__(self, config: KinematicConfigT | None = None) -> None:
         super().__init__(config)
         self._opened = ExitStack()
@@ -65,6 +68,7 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
     def begin(self, task: TabletopScene) -> Frame:
         """Put the benchmark scene's objects where they stand now, and return the goal image."""
         self.close()
+        self.moves = 0
         self._table = task.table
         self._poses = list(task.current)
         self._rests: list[list[RestingObject]] = [resting_poses(asset) for asset in task.assets]
@@ -93,6 +97,9 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
     def snapshot(self) -> Image:
         return self._studio.picture(self._home, self._poses)
 
+    def goal_snapshot(self) -> Image:
+        return self.goal_picture()
+
     def goal_picture(self) -> Image:
         return self._goal.rgb
 
@@ -104,6 +111,7 @@ class Kinematic(Plugin[KinematicConfigT], Executor):
         refusal = self._refuse(request)
         if refusal is not None:
             return Outcome(refusal, number)
+        self.moves += 1
         start = self._poses[number]
         end = settle(request.T_place_pick @ start, self._rests[number])
         seconds = _GRASP_S

@@ -93,7 +93,7 @@ def write_page(
 
 
 def _failure_table(rows: Sequence[Judged]) -> FigureTable:
-    """What goes wrong, most frequent first; numbers in reasons are left out, so that like ones are counted together."""
+    """What goes wrong, most frequent first; figures in reasons are left out, so that like ones are counted together."""
     counts = Counter((row.cell, row.stage or "pose", _general(row.reason)) for row in rows if not row.success_sym)
     columns = (Column("cell"), Column("stage", kind="words"), Column("reason", kind="words"), Column("objects"))
     lines = tuple(Line((*key, Figure(count, form="d"))) for key, count in counts.most_common(_MOST_FAILURES))
@@ -138,7 +138,10 @@ def _template(name: str, colors: dict[str, str]) -> jinja2.Template:
 
 
 def _general(reason: str | None) -> str:
-    return re.sub(r"\d+(\.\d+)?", "N", reason) if reason else "the pose is off by more than 5° or 2 cm"
+    if not reason:
+        return "the pose is off by more than 5° or 2 cm"
+    said_once = re.sub(r" \([^()]*\d[^()]*\)", "", reason)
+    return re.sub(r"\d+(\.\d+)?", "N", said_once)
 
 
 def _rotation(rows: Sequence[Judged]) -> str | Figure:

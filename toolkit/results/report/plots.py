@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,12 +180,13 @@ def time_by_stage(summaries: Sequence[CellSummary]) -> Plot:
     """Median time per object, stacked by stage."""
 
     stages = list(dict.fromkeys(stage for summary in summaries for stage in summary.time_ms))
-    colors = matplotlib.colormaps["tab20"](np.arange(len(stages)))
+    # Twenty colours in pairs of one hue: first one of each pair, so that neighbours have different hues.
+    colors = matplotlib.colormaps["tab20"]([*range(0, 20, 2), *range(1, 20, 2)])
 
     def draw(figure: Figure) -> None:
         axes: Any = figure.add_subplot()
         left = np.zeros(len(summaries))
-        for stage, color in zip(stages, colors, strict=True):
+        for stage, color in zip(stages, itertools.cycle(colors), strict=False):
             width = np.array([summary.time_ms.get(stage, 0.0) for summary in summaries])
             axes.barh(range(len(summaries)), width, left=left, label=stage, color=color)
             left += width

@@ -66,7 +66,7 @@ class RobustPnP(Plugin[PnPConfigT], PnP):
 def problem_fault(problem: Correspondences, config: PnPConfig) -> str | None:
     """Say why a problem cannot be solved by anyone, or None."""
     if len(problem) < config.min_inliers:
-        return f"{len(problem)} correspondences, at least {config.min_inliers} are needed"
+        return f"too few correspondences ({len(problem)} of {config.min_inliers} needed)"
     return "the points are collinear or coincide" if _collinear(problem.points) else None
 
 
@@ -82,7 +82,7 @@ def pose_fault(problem: Correspondences, inliers: Mask, depth: Float, config: Pn
     if np.median(depth) <= 0:
         return "the object is behind the camera"
     if inliers.sum() < config.min_inliers:
-        return f"{int(inliers.sum())} inliers of {len(problem)}, at least {config.min_inliers} are needed"
+        return f"too few inliers ({int(inliers.sum())} among {len(problem)} matches, {config.min_inliers} needed)"
     if _collinear(problem.points[inliers]):
         return "the inliers are collinear or coincide"
     if np.ptp(problem.pixels[inliers], axis=0).max() <= 2 * config.reprojection_px:
