@@ -86,7 +86,7 @@ class Driver(Protocol):
 
     @abstractmethod
     def advance(self) -> bool:
-        """Let a short time pass; say whether what was begun goes on."""
+        """Let a short time pass, if only to hear of the robot; say whether what was begun goes on."""
         ...
 
     @abstractmethod
@@ -118,6 +118,7 @@ def perform(driver: Driver, request: Follow | Grip, limits: Limits) -> JointStat
             come to its end, or its state is lost or late.
     """
     phase = request.phase
+    driver.advance()  # so that the state is one of now
     before = _fresh(driver, phase, limits)
     if isinstance(request, Follow):
         request = _from_here(request, before, limits)

@@ -55,8 +55,8 @@ class PlannedMove(Part):
     """Its goal, or a free place for the time being."""
     reason: str
     """Why this move, in a few words."""
-    confidence: float
-    """Probability that the motion to its goal is right."""
+    confidence: float | None
+    """Probability that the motion to its goal is right; null where the pipeline gives none."""
     T_place_pick: Rows
     """(4, 4) motion from where it stands to where it is put."""
     way: Way
@@ -84,6 +84,8 @@ class PlannedRobot(Part):
     home: Row
     """(J,) joint angles that the plan starts from and ends at."""
     limits: Limits
+    opens_m: float
+    """How far its gripper opens."""
     T_world_base: Rows
     """(4, 4) where it stands in the capture's world."""
 
@@ -107,9 +109,24 @@ class ArmPlan(Part):
         """How long all motions take, without the gripper's."""
         return sum(move.way.seconds for move in self.moves) + (self.to_home.seconds if self.to_home else 0.0)
 
+    def in_words(self) -> list[str]:
+        """What is done and what is not, a line each."""
+        where = {"goal": "its goal", "buffer": "a free place for the time being"}
+        done = [
+            f"{number}. {_called(move)} to {where[move.to]}, {move.way.seconds:.0f} s: {move.reason}"
+            for number, move in enumerate(self.moves, 1)
+        ]
+        return [*done, *(f"not moved: {_called(one)}: {one.sentence}" for one in self.not_planned)]
+
     def write(self, path: Path) -> None:
         """Write it as JSON."""
         write_text(path, self.model_dump_json(by_alias=True) + "\n")
+
+
+def _called(one: PlannedMove | Unplanned) -> str:
+    """An object by the numbers that poses.json and the overlay give it."""
+    instance = "" if one.object is None else f"instance #{one.object}"
+    return instance if one.goal_object is None else f"object {one.goal_object}" + (f" ({instance})" if instance else "")
 
 
 def read_plan(path: Path) -> ArmPlan:

@@ -65,14 +65,15 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def check_ready(self) -> None:
         """Raise ToolkitError unless simulator, RoboPlan, the robot's description and both chosen stages can be had."""
-        self._tools.check_ready()
+        self.tools.check_ready()
 
     def digests(self) -> dict[str, str]:
         """Return digests of the weights of the grasper and of the motion planner, by name."""
-        return self._tools.digests()
+        return self.tools.digests()
 
     @cached_property
-    def _tools(self) -> Tools:
+    def tools(self) -> Tools:
+        """What it plans with."""
         return Tools(self.config)
 
     def begin(self, task: TabletopScene) -> Frame:
@@ -81,15 +82,15 @@ class Arm(Plugin[ArmConfig], Executor):
         self.close()
         self._task = task
         self._moves = self._steps = 0
-        model, base = self._tools.model, base_pose(self.config)
+        model, base = self.tools.model, base_pose(self.config)
         bodies = [(asset.hulls, asset.mass_kg) for asset in task.assets]
         with ExitStack() as opened:
             self._bench = opened.enter_context(closing(Bench(model, base, bodies, task.current)))
-            self._planner = ArmPlanner(self._tools, self._bench.robot)
+            self._planner = ArmPlanner(self.tools, self._bench.robot)
             self._studio = opened.enter_context(Studio(task, cache_root()))
             self._goal = self._studio.goal()
             self._driver = Simulated(self._bench, self._shoot)
-            self._mover = Mover(self._driver, self._tools.limits, model.gripper.stroke_m)
+            self._mover = Mover(self._driver, self.tools.limits, model.gripper.stroke_m)
             self._film_set: FilmSet | None = None
             self._bench.on_step = self._stepped
             self._bench.wait(_SETTLE_S, "settling", None)
@@ -118,7 +119,7 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def home(self) -> None:
         """Move the arm to its home, out of the cameras' sight; where no path leads there, it stays."""
-        if np.abs(self._q - np.array(self._tools.model.home)).max() < _AT_HOME_RAD:
+        if np.abs(self._q - np.array(self.tools.model.home)).max() < _AT_HOME_RAD:
             return
         self._back_off(None)
         way = self._planner.to_home(self._q, self._moves)
@@ -132,7 +133,7 @@ class Arm(Plugin[ArmConfig], Executor):
     def snapshot(self) -> Image:
         """(H, W, 3) picture of table and arm from beside the table, for films."""
         if self._film_set is None:
-            film_set = FilmSet(self._task, self._tools.model, base_pose(self.config))
+            film_set = FilmSet(self._task, self.tools.model, base_pose(self.config))
             self._film_set = self._opened.enter_context(closing(film_set))
         return self._film_set.picture(self._bench)
 

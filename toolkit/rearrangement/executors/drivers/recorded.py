@@ -169,7 +169,8 @@ def read_recording(path: Path) -> list[Entry]:
 
 
 def _same(recorded: Follow | Grip, asked: Follow | Grip) -> bool:
-    if isinstance(recorded, Grip) or isinstance(asked, Grip):
-        both = isinstance(recorded, Grip) and isinstance(asked, Grip) and recorded.holds == asked.holds
-        return both and abs(recorded.opening_m - asked.opening_m) <= _SAME_M
-    return bool(np.abs(recorded.trajectory.end - asked.trajectory.end).max() <= _SAME_RAD)
+    if isinstance(recorded, Grip) and isinstance(asked, Grip):
+        return recorded.holds == asked.holds and abs(recorded.opening_m - asked.opening_m) <= _SAME_M
+    if isinstance(recorded, Follow) and isinstance(asked, Follow):
+        return bool(np.abs(recorded.trajectory.end - asked.trajectory.end).max() <= _SAME_RAD)
+    return False

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from toolkit.geometry import rotation_angle
 from toolkit.rearrangement.drivers import Driver, Follow, Grip, JointState, perform
-from toolkit.rearrangement.plans import Way
+from toolkit.rearrangement.plans import ArmPlan, PlannedMove, Way
 from toolkit.rearrangement.trajectories import Limits, Trajectory
 from toolkit.types import Failure, Float
 
@@ -107,6 +108,34 @@ class Mover:
 
     def _perform(self, request: Follow | Grip) -> JointState:
         return perform(self._driver, request, self._limits)
+
+
+def carry_out_plan(
+    plan: ArmPlan, driver: Driver, on_move: Callable[[PlannedMove], None] | None = None
+) -> Failure | None:
+    """Carry a whole plan out, up to the first move that fails.
+
+    Args:
+        plan: what to do; the arm is at its start.
+        driver: the robot.
+        on_move: told of every move before it begins.
+
+    Returns:
+        Why a move failed; None where all went as planned.
+
+    Raises:
+        DriverError: the robot does not do what it is told. It has been stopped.
+    """
+    mover = Mover(driver, plan.robot.limits, plan.robot.opens_m)
+    for move in plan.moves:
+        if on_move is not None:
+            on_move(move)
+        failure = mover.carry_out(move.way)
+        if failure is not None:
+            return failure
+    if plan.to_home is not None:
+        mover.follow(plan.to_home, "going home", touching=False)
+    return None
 
 
 def _moved(before: Float, now: Float) -> str | None:
