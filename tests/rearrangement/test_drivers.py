@@ -15,12 +15,15 @@ from hypothesis.extra.numpy import arrays
 from made_plans import HOME, LIMITS, between, plan
 
 from toolkit.errors import ToolkitError
+from toolkit.geometry import invert, make_transform
 from toolkit.rearrangement.drivers import DriverError, Follow, Grip, JointState, perform
 from toolkit.rearrangement.executors.drivers.recorded import Recorded, Recorder, read_recording
+from toolkit.rearrangement.executors.drivers.simulated import Simulated
 from toolkit.rearrangement.executors.handling.mover import carry_out_plan
 from toolkit.rearrangement.executors.handling.timing import Timer
 from toolkit.rearrangement.plans import ArmPlan, read_plan
 from toolkit.rearrangement.trajectories import Limits, Trajectory
+from toolkit.sim.bench import Bench
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
 from toolkit.sim.robot import Robot
@@ -88,6 +91,51 @@ def test_paths_are_timed_at_the_robots_limits():
         corner = np.abs(timed.positions - path[1]).max(axis=1).min()
         assert corner < 0.03  # cut, by little
     assert Timer(clearance, limits, 1.0, 0.2).line(path[:1]).seconds == 0
+
+
+@pytest.fixture
+def simulated():
+    with closing(Bench(ROBOTS["panda"], np.eye(4), [], [])) as bench:
+        yield Simulated(bench, lambda T_world_camera: T_world_camera), bench
+
+
+SMALL = Limits(speed=1.0, acceleration=4.0, effort=70.0)
+
+
+def test_the_simulated_arm_does_what_a_driver_is_asked_for(simulated):
+    driver, bench = simulated
+    home = driver.state().positions
+    away = home + 0.1
+    ended = perform(driver, Follow(trajectory=between(home, away, 0.5), phase="moving"), SMALL)
+    np.testing.assert_allclose(ended.positions, away, atol=5e-3)
+    assert bench.seconds == pytest.approx(0.5, abs=0.01)
+    for opening in (0.03, 0.06):
+        ended = perform(driver, Grip(opening_m=opening, phase="opening", effort=10.0), SMALL)
+        assert ended.opening_m == pytest.approx(opening, abs=4e-3)
+    seen_from = driver.picture()  # 6 cm beside the hand's axis, and looking where the hand points
+    hand = bench.robot.T_world_hand()
+    np.testing.assert_allclose(
+        invert(hand) @ seen_from, make_transform(np.eye(3), np.array([0.06, 0, 0.04])), atol=1e-6
+    )
+
+
+def test_ctrl_c_stops_the_simulated_arm_in_its_tracks(simulated):
+    driver, bench = simulated
+    home = driver.state().positions
+
+    def interrupt():
+        if bench.seconds > 0.25:
+            bench.on_step = None
+            raise KeyboardInterrupt
+
+    bench.on_step = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        perform(driver, Follow(trajectory=between(home, home + 0.2, 0.5), phase="moving"), SMALL)
+    stopped = driver.state().positions
+    assert 0.05 < np.abs(stopped - home).max() < 0.15
+    assert not driver.advance()
+    bench.wait(0.3, "standing", None)
+    np.testing.assert_allclose(driver.state().positions, stopped, atol=0.03)
 
 
 class Misbehaving(Recorded):

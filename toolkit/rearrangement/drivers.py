@@ -125,7 +125,10 @@ def perform(driver: Driver, request: Follow | Grip, limits: Limits) -> JointStat
     elif request.effort > limits.effort:
         raise DriverError(f"{phase}: the gripper is asked for {request.effort:g}, and its limit is {limits.effort:g}")
     try:
-        driver.follow(request) if isinstance(request, Follow) else driver.grip(request)
+        if isinstance(request, Follow):
+            driver.follow(request)
+        else:
+            driver.grip(request)
         while driver.advance():
             _fresh(driver, phase, limits)
         after = _fresh(driver, phase, limits)

@@ -72,15 +72,12 @@ class Trajectory(Part):
 
     @model_validator(mode="after")
     def _fits(self) -> Trajectory:
-        if self.positions.ndim != 2 or not self.positions.shape == self.velocities.shape == (len(self.times), *self._j):
+        shape = self.positions.shape
+        if len(shape) != 2 or self.velocities.shape != shape or self.times.shape != shape[:1]:
             raise ValueError("a trajectory needs as many positions and velocities as times")
         if not len(self.times) or self.times[0] != 0 or (np.diff(self.times) <= 0).any():
             raise ValueError("a trajectory's times must begin with 0 and increase")
         return self
-
-    @property
-    def _j(self) -> tuple[int, ...]:
-        return self.positions.shape[1:]
 
     @property
     def seconds(self) -> float:

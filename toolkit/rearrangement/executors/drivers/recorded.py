@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from toolkit.errors import ToolkitError
-from toolkit.files import write_text
 from toolkit.rearrangement.drivers import Driver, DriverError, Follow, Grip, JointState
 from toolkit.rearrangement.trajectories import Part
 from toolkit.types import Float, Frame
@@ -35,8 +34,8 @@ class Recorder(Driver):
     def __init__(self, driver: Driver, path: Path) -> None:
         self._driver = driver
         self._path = path
-        self._entries: list[Entry] = []
         self._asked: Follow | Grip | None = None
+        path.write_text("")
 
     def state(self) -> JointState | None:
         return self._driver.state()
@@ -53,9 +52,9 @@ class Recorder(Driver):
         goes_on = self._driver.advance()
         state = None if goes_on else self._driver.state()
         if state is not None and self._asked is not None:
-            self._entries.append(Entry(request=self._asked, state=state))
+            with self._path.open("a") as file:
+                file.write(Entry(request=self._asked, state=state).model_dump_json() + "\n")
             self._asked = None
-            write_text(self._path, "".join(entry.model_dump_json() + "\n" for entry in self._entries))
         return goes_on
 
     def picture(self) -> Frame:
