@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,9 +13,10 @@ from pydantic import Field
 from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
+from toolkit.rearrangement.drivers import DriverError
 from toolkit.rearrangement.executors.drivers.simulated import Simulated
 from toolkit.rearrangement.executors.handling.film_set import FilmSet
-from toolkit.rearrangement.executors.handling.mover import Mover
+from toolkit.rearrangement.executors.handling.mover import Eye, Mover
 from toolkit.rearrangement.executors.handling.planning import ArmPlanner, ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
 from toolkit.rearrangement.footprints import Footprint
@@ -121,10 +122,11 @@ class Arm(Plugin[ArmConfig], Executor):
         """Move the arm to its home, out of the cameras' sight; where no path leads there, it stays."""
         if np.abs(self._q - np.array(self.tools.model.home)).max() < _AT_HOME_RAD:
             return
-        self._back_off(None)
-        way = self._planner.to_home(self._q, self._moves)
-        if not isinstance(way, Failure):
-            self._mover.follow(way, "going home", touching=False)
+        with suppress(DriverError):
+            self._back_off(None)
+            way = self._planner.to_home(self._q, self._moves)
+            if not isinstance(way, Failure):
+                self._mover.follow(way, "going home", touching=False)
 
     @property
     def _q(self) -> Float:
@@ -147,7 +149,10 @@ class Arm(Plugin[ArmConfig], Executor):
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self._moves += 1
         before = self._bench.pose(number)
-        failure = self._carry_out(number, request)
+        try:
+            failure = self._carry_out(number, request)
+        except DriverError as error:  # in a simulator nothing is lost by going on
+            failure = Failure("executor", str(error))
         moved = self._bench.pose(number) @ invert(before)
         return Outcome(failure, number, self._bench.seconds - start, moved if self._bench.seconds > start else None)
 
@@ -192,7 +197,7 @@ class Arm(Plugin[ArmConfig], Executor):
 
 
 @dataclass
-class _Eye:
+class _Eye(Eye):
     """Sees, as nothing but a simulator can, how an object lies in the hand."""
 
     bench: Bench

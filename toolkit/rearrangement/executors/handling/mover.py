@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
@@ -20,10 +21,12 @@ _GIVES_M, _GIVES_DEG = 0.02, 10.0
 class Eye(Protocol):
     """Sees how an object lies in the hand, and what that means for its way."""
 
+    @abstractmethod
     def in_hand(self) -> Float:
         """(4, 4) the object's pose in the hand's frame."""
         ...
 
+    @abstractmethod
     def adapted(self, way: Way) -> Way | Failure:
         """A way that was carried out up to its lift, with a second half for how the object lies in the hand now."""
         ...
