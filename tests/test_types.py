@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
-from toolkit.geometry import rotation_z
+from toolkit.geometry import invert, rotation_z
 from toolkit.types import (
     Camera,
     Capture,
@@ -195,6 +196,18 @@ def test_a_pnp_solution_is_a_rigid_motion_with_a_flag_for_each_correspondence():
 
 
 ESTIMATE = PoseEstimate(0, Segment(SQUARE), 1, np.eye(4), confidence=0.5, equivalents=np.eye(4)[None], ambiguity="none")
+
+
+def test_what_is_held_fixed_in_an_estimate_is_so_in_every_world():
+    T = rotation_z(0.7) @ HALF_TURN
+    T[:3, 3] = [0.3, -2.0, 0.7]
+    tilted = T.copy()
+    tilted[:3, :3] = T[:3, :3] @ Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()
+    fixed = replace(ESTIMATE, covariance=np.diag([0, 0, 1e-4, 1e-6, 1e-6, 0]))
+    for there in (T, tilted):
+        back = fixed.in_world(there).in_world(invert(there))
+        np.testing.assert_allclose(back.covariance, fixed.covariance, atol=1e-15)
+        np.testing.assert_allclose(back.T_goal_current, fixed.T_goal_current, atol=1e-12)
 
 
 def test_an_estimate_is_a_motion_or_a_failure_and_never_both():

@@ -179,7 +179,7 @@ def test_what_the_arm_works_with_is_checked_and_digested_with_it(monkeypatch):
 def test_a_task_that_cannot_be_taken_up_leaves_nothing_open(scene, monkeypatch):
     closed = []
     monkeypatch.setattr(Bench, "close", lambda bench: closed.append(bench))
-    monkeypatch.setattr("toolkit.rearrangement.executors.arm.Clearance", lambda *_: 1 / 0)
+    monkeypatch.setattr("toolkit.rearrangement.executors.arm.ArmPlanner", lambda *_: 1 / 0)
     executor = Arm(ArmConfig(robot="panda"))
     with pytest.raises(ZeroDivisionError):
         executor.begin(scene)

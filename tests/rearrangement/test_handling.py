@@ -11,12 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolkit.geometry import invert, look_at, make_transform, rotation_z, transform_points
+from toolkit.rearrangement.executors.drivers.simulated import Simulated
 from toolkit.rearrangement.executors.handling.mover import Mover
+from toolkit.rearrangement.executors.handling.planning import ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
 from toolkit.rearrangement.executors.handling.squeeze import squeezed
-from toolkit.rearrangement.executors.handling.way import Way
+from toolkit.rearrangement.executors.handling.timing import Timer
 from toolkit.rearrangement.hidden import hidden_space
 from toolkit.rearrangement.moves import Grasp
+from toolkit.rearrangement.plans import Way
 from toolkit.sim.bench import Bench
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
@@ -74,6 +77,7 @@ def test_what_is_round_is_not_turned():
 
 
 PANDA = ROBOTS["panda"]
+LIMITS = Tools(ArmSettings(robot="panda")).limits
 
 
 def at_grasp(robot, held):
@@ -97,7 +101,9 @@ def test_fingers_turn_a_bar_as_was_foreseen(off, tmp_path):
         bench.robot.set_drive(bench.grip)
         bench.wait(0.1, "settling", 0)
         before = bench.pose(0)
-        Mover(bench, 1.0, 1.0).close_on(0)
+        driver = Simulated(bench, lambda pose: None)
+        driver.handled = 0
+        Mover(driver, LIMITS, PANDA.gripper.stroke_m).close()
         motion = bench.pose(0) @ invert(before)
     turned = np.arctan2(motion[1, 0], motion[0, 0])
     foreseen = squeezed(bar(off), held, PANDA.gripper)[-1]
@@ -109,7 +115,8 @@ def test_a_bar_is_not_turned_against_its_neighbour():
     """A post beside the bar's end, on the side to which closing fingers turn it, and on the other."""
     with closing(Client()) as client:
         clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
-    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), approach_m=0.08, seed=0)
+    timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
+    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
     lies = bar(0.15)  # its far end points to smaller x, and is turned to larger x
     far_end = lies[lies[:, 1].argmax()]
     ways = {}

@@ -1,8 +1,9 @@
-"""`toolkit estimate`, `toolkit evaluate` and `toolkit capture`: captures from disk."""
+"""`toolkit estimate`, `toolkit evaluate`, `toolkit plan` and `toolkit capture`: captures from disk."""
 
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,11 @@ from toolkit.cli.options import (
     single_values,
     with_experiment_options,
 )
+from toolkit.slots import SLOTS
+
+MasksOption = Annotated[
+    Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder: no segmenter is asked.")
+]
 
 app = typer.Typer()
 capture_app = typer.Typer(help="Check a capture folder, make one of a recording, or take one.", no_args_is_help=True)
@@ -30,9 +36,7 @@ def estimate(
     capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
     experiment: ExperimentArgument = "estimate",
     out: OutOption = None,
-    masks: Annotated[
-        Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder: no segmenter is asked.")
-    ] = None,
+    masks: MasksOption = None,
     *,
     choices: dict[str, Any],
 ) -> None:
@@ -40,16 +44,10 @@ def estimate(
     progress = bars()
     folder = out or Path("runs") / "estimate" / capture.resolve().name
     with progress.waiting("Loading"):
-        from toolkit.data.bop import masked_scenes
         from toolkit.harness.estimate import estimate_folder
         from toolkit.results.answer import motions, to_look_at, why_nothing
 
-        if masks is not None:
-            slots = {"current": "segmenter", "goal": "goal_segmenter"}
-            scenes = masked_scenes(masks)
-            choices |= {slots[scene]: ["masks"] for scene in scenes}
-            # An explainer would draw the goal's masks anew.
-            choices |= {"explainer": ["none"]} if "goal" in scenes else {}
+        choices |= _own_masks(masks)
         answer = estimate_folder(capture, read_cell(experiment, choices), folder, progress, masks)
     if answer.estimates:
         say(motions(answer.estimates, answer.points()))
@@ -82,6 +80,60 @@ def evaluate(
     if rows:
         motion_table(summarize(rows)).print(Console())
     say(f"\nWritten: {folder}")
+
+
+@app.command()
+@partial(with_experiment_options, slots=(*SLOTS, "planner"))
+def plan(
+    capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
+    experiment: ExperimentArgument = "estimate",
+    out: OutOption = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the robot stands in the capture's world: 'x y z qx qy qz qw', metres; "
+            "else the world is the robot's base frame."
+        ),
+    ] = None,
+    sure: Annotated[
+        float, typer.Option(min=0, max=1, help="Objects whose confidence is below this are left where they are.")
+    ] = 0.5,
+    film: Annotated[bool, typer.Option(help="Film the plan (plan.mp4, plan.rrd).")] = True,
+    masks: MasksOption = None,
+    *,
+    choices: dict[str, Any],
+) -> None:
+    """Plan what an arm does to set one capture right: plan.json with timed trajectories, and a film. Nothing moves."""
+    progress = bars()
+    folder = out or Path("runs") / "plan" / capture.resolve().name
+    with progress.waiting("Loading"):
+        import numpy as np
+
+        from toolkit.data.importing.settings import told_pose
+        from toolkit.harness.plan import PlanRequest, plan_folder
+
+        choices |= _own_masks(masks)
+        choices["set"] = ["rearrange.executor=arm", *choices["set"]]
+        request = PlanRequest(np.eye(4) if base is None else told_pose(base, "--base"), sure, film, masks)
+        cell = read_cell(experiment, choices, rearranges=True)
+        made = plan_folder(capture, cell, folder, request, progress)
+    say(*made.in_words(), *([f"Film: {folder / 'plan.mp4'}"] if film and made.moves else []))
+    say(f"Written: {folder / 'plan.json'}")
+    if not made.moves and made.not_planned:
+        sys.stderr.write("no object can be moved; the reasons stand above\n")
+        raise typer.Exit(1)
+
+
+def _own_masks(masks: Path | None) -> dict[str, list[str]]:
+    """The choices that a folder of a user's own masks makes."""
+    from toolkit.data.bop import masked_scenes
+
+    if masks is None:
+        return {}
+    slots = {"current": "segmenter", "goal": "goal_segmenter"}
+    scenes = masked_scenes(masks)
+    # An explainer would draw the goal's masks anew.
+    return {slots[scene]: ["masks"] for scene in scenes} | ({"explainer": ["none"]} if "goal" in scenes else {})
 
 
 @capture_app.command("check")

@@ -136,7 +136,7 @@ def read_experiment(name: str, choices: Mapping[str, Any], *, rearranges: bool =
     return load_experiment(name, overrides, rearranges=rearranges)
 
 
-def read_cell(experiment: str, choices: Mapping[str, Any]) -> Cell:
+def read_cell(experiment: str, choices: Mapping[str, Any], *, rearranges: bool = False) -> Cell:
     """The one cell of an experiment with the command line's choices applied.
 
     Raises:
@@ -144,7 +144,7 @@ def read_cell(experiment: str, choices: Mapping[str, Any]) -> Cell:
     """
     from toolkit.harness.experiment import only_cell
 
-    return only_cell(read_experiment(experiment, choices))
+    return only_cell(read_experiment(experiment, choices, rearranges=rearranges))
 
 
 def register_plugin_files(files: Iterable[Path]) -> None:

@@ -117,6 +117,11 @@ class Studio:
         views = zip(self._scene.cameras, self._scene.hands, strict=True)
         return [self._shoot(i, camera, look, hand) for i, (camera, hand) in enumerate(views)]
 
+    def frame(self, camera: Camera, poses: Sequence[Float]) -> Frame:
+        """An RGB-D frame from anywhere, with every object at its (4, 4) pose and no hand in it."""
+        self._show(poses)
+        return self._shoot(0, camera, _Look(self._light, self._shadows(self._light), self._exposure), AWAY)
+
     def picture(self, camera: Camera, poses: Sequence[Float]) -> Image:
         """(H, W, 3) uint8 without noise, for people to look at."""
         self._show(poses)

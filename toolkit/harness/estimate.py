@@ -65,7 +65,7 @@ def estimate_folder(capture: Path, cell: Cell, out: Path, progress: Progress, ma
         ToolkitError: the capture cannot be read or cannot be right, a stage lacks something, or OUT cannot be written.
     """
     session = Session(cell)
-    return _estimate(_load(capture, progress, masks), session, out, progress)
+    return estimate_capture(read_capture(capture, progress, masks), session, out, progress)
 
 
 def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) -> list[Row]:
@@ -84,9 +84,9 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
     rows: list[Row] = []
     with progress.step("Evaluating", len(captures)) as advance:
         for scene_id, folder in enumerate(captures):
-            capture = _load(folder, progress)
+            capture = read_capture(folder, progress)
             try:
-                estimates = _estimate(capture, session, out / capture.name, progress).estimates
+                estimates = estimate_capture(capture, session, out / capture.name, progress).estimates
             except RefusedError as refused:
                 progress.say(f"{capture.name}: {refused}")
                 estimates = []
@@ -102,7 +102,8 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
     return rows
 
 
-def _load(folder: Path, progress: Progress, masks: Path | None = None) -> Capture:
+def read_capture(folder: Path, progress: Progress, masks: Path | None = None) -> Capture:
+    """Read a capture folder, and say what of it is not used, or used otherwise than it is stored."""
     progress.now(f"Reading {folder.name}")
     capture = load_capture(folder, masks)
     for note in capture.notes:
@@ -110,7 +111,8 @@ def _load(folder: Path, progress: Progress, masks: Path | None = None) -> Captur
     return capture
 
 
-def _estimate(capture: Capture, session: Session, out: Path, progress: Progress) -> Answer:
+def estimate_capture(capture: Capture, session: Session, out: Path, progress: Progress) -> Answer:
+    """Estimate a capture that was read; writes OUT/poses.json, masks and pictures. The session keeps the scene."""
     progress.now("Looking at the current frames")
     try:
         session.database(capture.current)

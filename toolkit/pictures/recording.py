@@ -113,7 +113,7 @@ def record_scene(
         for frame in database.frames:
             _log_frame(stream, rr, f"current/frames/{frame.index:06d}", frame)
         for instance, (points, colors) in clouds.items():
-            _log_points(stream, rr, f"current/instances/{instance}", points, colors, f"instance {instance}")
+            log_points(stream, rr, f"current/instances/{instance}", points, colors, f"instance {instance}")
         _log_frame(stream, rr, "goal/camera", capture.goal)
         _log_boxes(stream, rr, estimates, named)
         for estimate in estimates:
@@ -163,7 +163,8 @@ def _log_frame(stream: Any, rr: Any, entity: str, frame: Frame) -> None:
         stream.log(f"{entity}/depth", depth, static=True)
 
 
-def _log_points(stream: Any, rr: Any, entity: str, points: Float, colors: Float, label: str) -> None:
+def log_points(stream: Any, rr: Any, entity: str, points: Float, colors: Float, label: str) -> None:
+    """Log (N, 3) points with their (N, 3) colours, 0..255."""
     shown = np.clip(np.rint(colors), 0, 255).astype(np.uint8)
     cloud = rr.Points3D(points, colors=shown, radii=_POINT_M, labels=[label], show_labels=True)
     stream.log(entity, cloud, static=True)
@@ -199,7 +200,7 @@ def _log_estimate(stream: Any, rr: Any, estimate: PoseEstimate, clouds: Clouds, 
     stream.log(entity, said, static=True)
     if estimate.T_goal_current is not None and estimate.instance in clouds:
         points, colors = clouds[estimate.instance]
-        _log_points(stream, rr, entity, estimate.move(points), colors, label)
+        log_points(stream, rr, entity, estimate.move(points), colors, label)
 
 
 def _named(capture: Capture, estimates: Sequence[PoseEstimate], rows: Sequence[Row]) -> dict[int, Row]:

@@ -14,12 +14,12 @@ from pydantic import Field
 from toolkit.errors import ToolkitError
 from toolkit.perception.pipeline import Pipeline
 from toolkit.rearrangement.dependencies import lower_bound, screen
-from toolkit.rearrangement.moves import Finished, Layout, Move, Outcome, PickPlace
+from toolkit.rearrangement.moves import Finished, Layout, Move, Outcome
 from toolkit.rearrangement.sight import Sight, SightSettings, correct, look
 from toolkit.rearrangement.stages import Executor, Planner
 from toolkit.types import Failure, Float, Frame
 
-_MOST_MOVES = 200
+MOST_MOVES = 200
 """Moves of one round after which it is broken off."""
 
 
@@ -157,13 +157,13 @@ def _carry_out(
 ) -> None:
     """One round: ask for move after move."""
     schedule = planner.start(seed)
-    for _ in range(_MOST_MOVES):
+    for _ in range(MOST_MOVES):
         with episode.timed("planning"):
             step = schedule.next(sight.layout)
         if isinstance(step, Finished):
             _note_failures(episode, sight, step)
             return
-        outcome = executor.pick_place(_request(sight, step))
+        outcome = executor.pick_place(sight.request(step))
         _count(episode, sight, step, outcome)
         sight = sight.after_outcome(step, outcome)
         if settings.observe == "move":
@@ -171,12 +171,8 @@ def _carry_out(
             if seen is None:
                 return
             sight = correct(sight, seen)
-    unfinished = {i.object: Failure("planner", f"not finished after {_MOST_MOVES} moves") for i in sight.layout.items}
+    unfinished = {i.object: Failure("planner", f"not finished after {MOST_MOVES} moves") for i in sight.layout.items}
     _note_failures(episode, sight, Finished(unfinished))
-
-
-def _request(sight: Sight, move: Move) -> PickPlace:
-    return PickPlace(sight.clouds[move.object], move.T_place_pick, sight.obstacles(move.object))
 
 
 def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None:

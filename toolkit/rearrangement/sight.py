@@ -11,9 +11,10 @@ from scipy.optimize import linear_sum_assignment
 
 from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.pipeline import Pipeline
+from toolkit.perception.scene import Scene
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.hidden import hidden_space
-from toolkit.rearrangement.moves import Item, Layout, Move, Outcome
+from toolkit.rearrangement.moves import Item, Layout, Move, Outcome, PickPlace
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
 
@@ -68,6 +69,10 @@ class Sight:
         full = (*self.clouds.items(), *self.hidden.items())
         return np.concatenate([self.unknown, *(points for other, points in full if other != instance)])
 
+    def request(self, move: Move) -> PickPlace:
+        """What an executor is asked for, to make a move."""
+        return PickPlace(self.clouds[move.object], move.T_place_pick, self.obstacles(move.object))
+
     def after(self, move: Move) -> Sight:
         """What there is to see when `move` was carried out as meant."""
         T, moved = move.T_place_pick, move.object
@@ -89,15 +94,33 @@ class Sight:
 
 
 def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: SightSettings) -> Sight:
-    """Estimate every motion, and say what stands where.
-
-    An instance that several goal objects claim goes to the one of them that is surest.
+    """Estimate every motion, and say what stands where, in the world of the frames.
 
     Raises:
         ToolkitError: a stage refuses its input.
     """
     scene = pipeline.scene(pipeline.build_database(frames))
-    estimates = tuple(scene.estimate(goal))
+    return in_sight(scene, scene.estimate(goal), settings)
+
+
+def in_sight(
+    scene: Scene, estimates: Sequence[PoseEstimate], settings: SightSettings, T_to_world: Float | None = None
+) -> Sight:
+    """What stands where, and where it is to go. Everything that plans moves takes the table for z = 0.
+
+    An instance that several goal objects claim goes to the one of them that is surest.
+
+    Args:
+        scene: as the goal of the estimates showed it.
+        estimates: one per goal object.
+        settings: how they become goals.
+        T_to_world: (4, 4) from the scene's world into the one that is answered in; the scene's own when left out.
+    """
+    frames, clouds = scene.database.frames, {i: points for i, (points, _) in scene.clouds().items()}
+    if T_to_world is not None:
+        estimates = [estimate.in_world(T_to_world) for estimate in estimates]
+        frames = tuple(frame.moved(T_to_world) for frame in frames)
+        clouds = {i: transform_points(T_to_world, points) for i, points in clouds.items()}
     failures = {e.goal_object: e.failure for e in estimates if e.failure is not None}
     claims: dict[int, PoseEstimate] = {}
     for estimate in sorted(estimates, key=_sureness, reverse=True):
@@ -109,11 +132,10 @@ def look(pipeline: Pipeline, frames: Sequence[Frame], goal: Frame, settings: Sig
             failures[estimate.goal_object] = Failure("retriever", reason)
         else:
             claims[estimate.instance] = estimate
-    clouds = {instance: points for instance, (points, _) in scene.clouds().items()}
     items = tuple(_item(instance, own, claims.get(instance), settings) for instance, own in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
     goal_objects = {i: e.goal_object for i, e in claims.items()}
-    return Sight(layout, clouds, estimates, goal_objects, failures, *hidden_space(scene.database.frames, clouds))
+    return Sight(layout, clouds, tuple(estimates), goal_objects, failures, *hidden_space(frames, clouds))
 
 
 def correct(before: Sight, now: Sight) -> Sight:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+import yaml
 from numpy.typing import NDArray
 from roboplan.core import (
     JointConfiguration,
@@ -21,9 +22,11 @@ from roboplan.core import (
     PinocchioSceneDescription,
     Scene,
     hasCollisionsAlongPath,
+    loadJointLimitsConfig,
     loadUrdfSceneDescriptionFromXml,
 )
 from roboplan.rrt import RRT, RRTOptions
+from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOptions
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
@@ -33,6 +36,9 @@ from toolkit.types import ArmWorld, Cubes, Float, Shape
 _GROUP = "arm"
 _ROOT = "universe"
 _TURN = 2 * np.pi
+_SAMPLE_S = 0.02
+"""Way in time between two points of a timed path."""
+
 _GREY = np.array([0.5, 0.5, 0.5, 1.0])
 
 
@@ -158,6 +164,37 @@ class ArmScene:
 
     def _pose(self, q: Float) -> JointConfiguration:
         return JointConfiguration(self._arm, _array(q))
+
+    def limit(self, speed: float, acceleration: float) -> None:
+        """Set what `timed` keeps to: rad/s and rad/s^2, the same of every joint of the arm."""
+        limits = {name: {"max_velocity": [speed], "max_acceleration": [acceleration]} for name in self._arm}
+        with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:  # RoboPlan 0.7 takes them from a file only
+            file = Path(folder) / "limits.yaml"
+            file.write_text(yaml.safe_dump({"joint_limits": limits}))
+            self._scene.importJointLimitsFromConfig(loadJointLimitsConfig(file))
+
+    def timed(self, path: Float, part: float, *, blend: float) -> tuple[Float, Float, Float]:
+        """A path as fast as the limits allow, from rest to rest (Pham, Pham, T-RO 2018).
+
+        Args:
+            path: (N, J), straight between its points, no two of which in a row are the same.
+            part: of the limits that is used, at most 1.
+            blend: its corners are cut by so much at most, radians over all joints, where nothing is touched on that.
+
+        Returns:
+            (T,) seconds, (T, J) radians and (T, J) radians per second.
+        """
+        given = JointPath()
+        given.joint_names, given.positions = self._arm, list(path)
+        options = TOPPRAOptions(
+            dt=_SAMPLE_S,
+            mode=SplineFittingMode.LinearBlend,
+            velocity_scale=part,
+            acceleration_scale=part,
+            max_blend_deviation=blend,
+        )
+        timed = PathParameterizerTOPPRA(self._scene, _GROUP).generate(given, options)
+        return np.array(timed.times), np.array(timed.positions), np.array(timed.velocities)
 
     def shortened(self, path: Float, seed: int, *, step: float, tries: int) -> Float:
         """An (M, J) path with the ends of `path` (N, J): straight lines in place of detours, where they are free."""

@@ -52,6 +52,12 @@ class Chain:
         """(4, 4) world frame of the end at (J,) angles."""
         return self.frames(q[None])[1][0]
 
+    @property
+    def longest(self) -> float:
+        """No angles bring the end further from the first joint than this, metres."""
+        links = np.concatenate([self.T_joints[1:], self.T_end[None]])
+        return float(np.linalg.norm(links[:, :3, 3], axis=1).sum())
+
     @cached_property
     def _joint_terms(self) -> tuple[Float, Float, Float]:
         """(J, 4, 4) each: a joint's frame in the one before it is the first, plus sine and cosine times the others."""

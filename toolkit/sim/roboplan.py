@@ -14,5 +14,5 @@ def require_roboplan() -> None:
         ToolkitError: it is not installed here.
     """
     # Its packages share one namespace, which is there when any of them is.
-    if any(importlib.util.find_spec(name) is None for name in ("roboplan", "roboplan.rrt")):
+    if any(importlib.util.find_spec(name) is None for name in ("roboplan", "roboplan.rrt", "roboplan.toppra")):
         raise ToolkitError("moving an arm needs RoboPlan: pip install 'rearrange-toolkit[arm]'")

@@ -75,6 +75,7 @@ class Robot:
         self._fingers = {name: numbers[name] for name in model.fingers}
         self._ratios = np.array([finger.ratio for finger in model.fingers.values()])
         self.hand: int = links[model.hand]
+        self._camera = links.get(model.file.camera.link, BASE)
         self.tips = tuple(links[name] for name in model.tips)
         self.links = range(BASE, len(joints))
         self.names = {BASE: client.getBodyInfo(self.body)[0].decode(), **{n: link for link, n in links.items()}}
@@ -179,9 +180,18 @@ class Robot:
         """The gripper's drive now: the mean over its joints."""
         return float(np.mean(list(self.finger_drives.values())))
 
+    @property
+    def opening(self) -> float:
+        """Distance of the fingertips now, metres."""
+        return float(np.interp(self.drive, *self._rising(self._openings)))
+
     def T_world_hand(self) -> Float:
         """(4, 4) pose of the hand now."""
         return self._link_pose(self.hand)
+
+    def T_world_camera(self) -> Float:
+        """(4, 4) pose of the camera now."""
+        return self._link_pose(self._camera) @ self.model.file.camera.T_link_camera
 
     def set(self, q: Float) -> None:
         """Put the arm at (J,) joint angles, at once."""

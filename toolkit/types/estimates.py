@@ -176,11 +176,15 @@ class PoseEstimate:
         """The estimate in another world, into which (4, 4) `T` takes points of its own."""
         back, turns = invert(T), np.kron(np.eye(2), T[:3, :3])
         motion, others, covariance = self.T_goal_current, self.equivalents, self.covariance
+        if covariance is not None:
+            covariance = turns @ covariance @ turns.T
+            # A variance of 0 may come out a little below it.
+            np.fill_diagonal(covariance, np.maximum(np.diagonal(covariance), 0))
         return replace(
             self,
             T_goal_current=None if motion is None else T @ motion @ back,
             equivalents=None if others is None else T @ others @ back,
-            covariance=None if covariance is None else turns @ covariance @ turns.T,
+            covariance=covariance,
             correspondences=None if self.correspondences is None else self.correspondences.moved(T),
         )
 

@@ -3,58 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
-from functools import cached_property, partial
-from typing import Annotated
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from toolkit.data.tabletop import Studio, TabletopScene
 from toolkit.geometry import invert, rotation_angle, rotation_z, transform_points
 from toolkit.paths import cache_root
+from toolkit.rearrangement.drivers import DriverError
+from toolkit.rearrangement.executors.drivers.simulated import Simulated
 from toolkit.rearrangement.executors.handling.film_set import FilmSet
-from toolkit.rearrangement.executors.handling.mover import Mover
+from toolkit.rearrangement.executors.handling.mover import Eye, Mover
+from toolkit.rearrangement.executors.handling.planning import ArmPlanner, ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
 from toolkit.rearrangement.footprints import Footprint
-from toolkit.rearrangement.moves import GraspRequest, Outcome, PickPlace
-from toolkit.rearrangement.stages import GRASPERS, MOTION_PLANNERS, Executor, Grasper, MotionPlanner
-from toolkit.registry import Plugin, PluginConfig, StageChoice
+from toolkit.rearrangement.moves import Outcome, PickPlace
+from toolkit.rearrangement.plans import Way
+from toolkit.rearrangement.stages import Executor
+from toolkit.registry import Plugin
 from toolkit.sim.bench import Bench, Touch
-from toolkit.sim.bullet import require_pybullet
-from toolkit.sim.clearance import Clearance
-from toolkit.sim.roboplan import require_roboplan
-from toolkit.sim.robots import RobotModel, find_robot
-from toolkit.sim.urdf import require_parts
-from toolkit.types import Failure, Float, Frame, Image
+from toolkit.types import Camera, Failure, Float, Frame, Image
 
 _RAYS = 64
-_SETTLE_S = 0.5
+_SETTLE_S, _REST_S = 0.5, 0.5
+_AT_HOME_RAD = 0.01
 _STEPS_A_CALL = 16
 """Steps of the simulation between two calls of `on_step`."""
 
 
-class ArmConfig(PluginConfig):
+class ArmConfig(ArmSettings):
     """Settings of `arm`."""
 
-    robot: str = Field(
-        "gen3", description="`gen3` (Kinova Gen3 with Robotiq 2F-85), `panda`, or the folder of a robot."
-    )
     base_m: float = Field(0.52, gt=0, description="Distance of the robot's base from the table's centre.")
-    grasp: Annotated[StageChoice, BeforeValidator(partial(GRASPERS.choose, default="antipodal"))] = Field(
-        "antipodal", validate_default=True, description="Finds where to take hold: a choice of the stage `grasp`."
-    )
-    motion: Annotated[StageChoice, BeforeValidator(partial(MOTION_PLANNERS.choose, default="roboplan"))] = Field(
-        "roboplan", validate_default=True, description="Searches free paths: a choice of the stage `motion`."
-    )
-    joint_speed: float = Field(0.8, gt=0, description="Speed of the fastest joint in free motion, rad/s.")
-    line_speed: float = Field(0.25, gt=0, description="Speed of the fastest joint near objects, rad/s.")
-    approach_m: float = Field(
-        0.08, gt=0, description="Length of the straight way to a grasp, and of the way back from a place."
-    )
-    margin_m: float = Field(
-        0.002, ge=0, description="Everything that the arm must not touch is this much larger than it was seen."
-    )
     off_m: float = Field(
         0.02, gt=0, description="An object that ends further than this from where it was to be put has slipped."
     )
@@ -86,31 +69,16 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def check_ready(self) -> None:
         """Raise ToolkitError unless simulator, RoboPlan, the robot's description and both chosen stages can be had."""
-        require_pybullet()
-        require_roboplan()
-        require_parts(self._model)
-        for part in self._parts:
-            part.check_ready()
+        self.tools.check_ready()
 
     def digests(self) -> dict[str, str]:
         """Return digests of the weights of the grasper and of the motion planner, by name."""
-        return {name: sha256 for part in self._parts for name, sha256 in part.digests().items()}
-
-    @property
-    def _parts(self) -> list[Plugin]:
-        return [part for part in (self._grasper, self._planner) if isinstance(part, Plugin)]
+        return self.tools.digests()
 
     @cached_property
-    def _grasper(self) -> Grasper:
-        return GRASPERS.create(self.config.grasp.name, self.config.grasp.settings)
-
-    @cached_property
-    def _planner(self) -> MotionPlanner:
-        return MOTION_PLANNERS.create(self.config.motion.name, self.config.motion.settings)
-
-    @cached_property
-    def _model(self) -> RobotModel:
-        return find_robot(self.config.robot)
+    def tools(self) -> Tools:
+        """What it plans with."""
+        return Tools(self.config)
 
     def begin(self, task: TabletopScene) -> Frame:
         """Build the benchmark's scene in the simulator, with the arm at its home, and return the goal image."""
@@ -118,22 +86,25 @@ class Arm(Plugin[ArmConfig], Executor):
         self.close()
         self._task = task
         self.moves = self._steps = 0
-        base = base_pose(self.config)
+        model, base = self.tools.model, base_pose(self.config)
         bodies = [(asset.hulls, asset.mass_kg) for asset in task.assets]
         with ExitStack() as opened:
-            self._bench = opened.enter_context(closing(Bench(self._model, base, bodies, task.current)))
-            self._clearance = Clearance(self._bench.robot, self.config.margin_m)
+            self._bench = opened.enter_context(closing(Bench(model, base, bodies, task.current)))
+            self._planner = ArmPlanner(self.tools, self._bench.robot)
             self._studio = opened.enter_context(Studio(task, cache_root()))
             self._goal = self._studio.goal()
-            fast, slow = (
-                min(speed, self._model.file.speed) for speed in (self.config.joint_speed, self.config.line_speed)
-            )
-            self._mover = Mover(self._bench, fast, slow)
+            self._driver = Simulated(self._bench, self._shoot)
+            self._mover = Mover(self._driver, self.tools.limits, model.gripper.stroke_m)
             self._film_set: FilmSet | None = None
             self._bench.on_step = self._stepped
             self._bench.wait(_SETTLE_S, "settling", None)
             self._opened = opened.pop_all()
         return self._goal
+
+    def _shoot(self, T_world_camera: Float) -> Frame:
+        """What the arm's camera, which is like those of the scene, sees from a pose."""
+        like = self._task.cameras[0]
+        return self._studio.frame(Camera(like.K, T_world_camera, like.width, like.height), self._bench.poses())
 
     @property
     def touches(self) -> list[Touch]:
@@ -152,14 +123,17 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def home(self) -> None:
         """Move the arm to its home, out of the cameras' sight; where no path leads there, it stays."""
-        home = np.array(self._model.home)
-        if np.abs(self._bench.target - home).max() < 1e-6:
+        if np.abs(self._q - np.array(self.tools.model.home)).max() < _AT_HOME_RAD:
             return
-        reach = self._reach()
-        self._back_off(reach, None)
-        path = reach.free_path(self._bench.target, home)
-        if not isinstance(path, Failure):
-            self._mover.go_home(path)
+        with suppress(DriverError):
+            self._back_off(None)
+            way = self._planner.to_home(self._q, self.moves)
+            if not isinstance(way, Failure):
+                self._mover.follow(way, "going home", touching=False)
+
+    @property
+    def _q(self) -> Float:
+        return self._driver.state().positions
 
     def snapshot(self) -> Image:
         """(H, W, 3) picture of table and arm from beside the table, for films."""
@@ -170,7 +144,7 @@ class Arm(Plugin[ArmConfig], Executor):
 
     def _filming(self) -> FilmSet:
         if self._film_set is None:
-            film_set = FilmSet(self._task, self._model, base_pose(self.config))
+            film_set = FilmSet(self._task, self.tools.model, base_pose(self.config))
             self._film_set = self._opened.enter_context(closing(film_set))
         return self._film_set
 
@@ -184,7 +158,10 @@ class Arm(Plugin[ArmConfig], Executor):
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self.moves += 1
         before = self._bench.pose(number)
-        failure = self._carry_out(number, request)
+        try:
+            failure = self._carry_out(number, request)
+        except DriverError as error:  # in a simulator nothing is lost by going on
+            failure = Failure("executor", str(error))
         moved = self._bench.pose(number) @ invert(before)
         return Outcome(failure, number, self._bench.seconds - start, moved if self._bench.seconds > start else None)
 
@@ -192,33 +169,28 @@ class Arm(Plugin[ArmConfig], Executor):
         goal = transform_points(request.T_place_pick, request.points)
         if not self._task.table.holds(Footprint.of(goal).center):
             return Failure("executor", "the place lies beyond the table's edge")
-        asked = GraspRequest.of(request, self._model.gripper, self.config.approach_m)
-        grasps = self._grasper.grasp(asked, self.moves)
+        grasps = self._planner.grasps(request, self.moves)
         if isinstance(grasps, Failure):
-            wide, opens = Footprint.of(request.points).width, self._model.gripper.stroke_m
-            if wide <= opens:
-                return grasps
-            reason = f"the object is {100 * wide:.1f} cm wide, the gripper opens {100 * opens:.1f} cm"
-            return Failure("executor", reason)
-        self._clearance.see(request.points, request.others)
-        reach = self._reach()
-        self._back_off(reach, number)
-        before = self._bench.pose(number)
-        way = reach.plan(self._bench.target, grasps, request.T_place_pick)
+            return grasps
+        self._back_off(number)
+        before, wanted = self._bench.pose(number), request.T_place_pick
+        reach = self._planner.reach(self.moves)
+        way = reach.plan(self._q, grasps, wanted)
         if isinstance(way, Failure):
             return way
-        failure = self._mover.carry_out(way, number, request.T_place_pick, reach)
+        failure = self._mover.carry_out(way, _Eye(self._bench, number, reach, wanted))
+        self._bench.wait(_REST_S, "resting", number)
         moved = self._bench.pose(number) @ invert(before)
-        self._clearance.see(transform_points(moved, request.points), request.others)
-        return failure or self._slipped(self._bench.pose(number), request.T_place_pick @ before)
+        self._planner.clearance.see(transform_points(moved, request.points), request.others)
+        return failure or self._slipped(self._bench.pose(number), wanted @ before)
 
-    def _back_off(self, reach: Reach, number: int | None) -> None:
-        """Leave what came to lean on the arm: no path starts in a contact."""
-        self._clearance.arrange(self._bench.robot.drive)
-        self._mover.back_off(reach.way_out(self._bench.target), number)
-
-    def _reach(self) -> Reach:
-        return Reach(self._clearance, self._planner, self.config.approach_m, self.moves)
+    def _back_off(self, number: int | None) -> None:
+        """Leave what came to lean on the arm, which may be object `number`: no path starts in a contact."""
+        self._driver.handled = number
+        self._planner.clearance.arrange(self._bench.robot.drive)
+        way = self._planner.reach(self.moves).way_out(self._q)
+        if way.seconds > 0:
+            self._mover.follow(way, "backing off")
 
     def _slipped(self, pose: Float, wanted: Float) -> Failure | None:
         shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))
@@ -231,6 +203,25 @@ class Arm(Plugin[ArmConfig], Executor):
         self._steps += 1
         if self.on_step is not None and self._steps % _STEPS_A_CALL == 0:
             self.on_step()
+
+
+@dataclass
+class _Eye(Eye):
+    """Sees, as nothing but a simulator can, how an object lies in the hand."""
+
+    bench: Bench
+    number: int
+    reach: Reach
+    wanted: Float
+
+    def __post_init__(self) -> None:
+        self._T_object_seen = invert(self.bench.pose(self.number))
+
+    def in_hand(self) -> Float:
+        return invert(self.bench.robot.T_world_hand()) @ self.bench.pose(self.number)
+
+    def adapted(self, way: Way) -> Way | Failure:
+        return self.reach.adapted(way, self.in_hand() @ self._T_object_seen, self.wanted)
 
 
 def base_pose(config: ArmConfig) -> Float:

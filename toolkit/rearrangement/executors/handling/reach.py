@@ -1,4 +1,4 @@
-"""From a grasp and a place to an arm's whole way: straight lines near the object, free paths between them."""
+"""From a grasp and a place to an arm's whole way: straight lines near the object, free paths between them, timed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import numpy as np
 from toolkit.geometry import invert
 from toolkit.rearrangement.executors.handling.inverse import Inverse, steps
 from toolkit.rearrangement.executors.handling.squeeze import squeezed
-from toolkit.rearrangement.executors.handling.way import Way
+from toolkit.rearrangement.executors.handling.timing import Timer
 from toolkit.rearrangement.moves import Grasp, MotionProblem
-from toolkit.rearrangement.paths import densify
+from toolkit.rearrangement.plans import Way
 from toolkit.rearrangement.stages import MotionPlanner
+from toolkit.rearrangement.trajectories import Trajectory
 from toolkit.sim.clearance import Clearance
 from toolkit.types import Failure, Float
 
@@ -23,9 +24,6 @@ _CLOSING = 3
 
 _MOST_SEARCHES = 3
 """Grasps whose free paths are searched for at most."""
-
-_CHECK_RAD = 0.04
-"""Way between two checks of a path that was planned for an object that lay in the hand otherwise."""
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """A gripper turned by this holds the same."""
@@ -63,13 +61,17 @@ class Reach:
     Args:
         clearance: robot and objects, to keep clear of.
         planner: searches free paths.
+        timer: of the same arm.
         approach_m: way along the gripper's axis to the grasp, and back from the place.
         seed: of IK's starts and the search.
     """
 
-    def __init__(self, clearance: Clearance, planner: MotionPlanner, approach_m: float, seed: int) -> None:
+    def __init__(
+        self, clearance: Clearance, planner: MotionPlanner, timer: Timer, approach_m: float, seed: int
+    ) -> None:
         self._clearance = clearance
         self._planner = planner
+        self._timer = timer
         self._approach_m = approach_m
         self._seed = seed
         self._inverse = Inverse(clearance.robot.chain, seed)
@@ -87,12 +89,13 @@ class Reach:
         furthest, searched = 0, 0
         failure: Failure | None = None
         for grasp in grasps:
-            for turn in (np.eye(4), _HALF_TURN):
-                lines = self._lines(q, grasp, turn, T_place_pick)
+            turned = replace(grasp, T_world_gripper=grasp.T_world_gripper @ _HALF_TURN)
+            for either in (grasp, turned):
+                lines = self._lines(q, either, T_place_pick)
                 if isinstance(lines, int):
                     furthest = max(furthest, lines)
                     continue
-                way = self._join(q, grasp, lines)
+                way = self._join(q, either, lines)
                 if isinstance(way, Way):
                     return way
                 failure, searched = way, searched + 1
@@ -100,10 +103,10 @@ class Reach:
                     return failure
         return failure or Failure("executor", _REASONS[furthest])
 
-    def _lines(self, q: Float, grasp: Grasp, turn: Float, T_place_pick: Float) -> _Lines | int:
+    def _lines(self, q: Float, grasp: Grasp, T_place_pick: Float) -> _Lines | int:
         """The straight parts; where they do not work out, how far they came, as an index into `_REASONS`."""
         clearance, robot = self._clearance, self._clearance.robot
-        hand = grasp.T_world_gripper @ turn @ invert(robot.T_hand_tips(grasp.closed))
+        hand = grasp.T_world_gripper @ invert(robot.T_hand_tips(grasp.closed))
         at_grasps = self._inverse.solve(hand, q)[:3]
         if at_grasps and not self._inverse.solve(T_place_pick @ hand, q):
             return 2
@@ -120,7 +123,7 @@ class Reach:
             lift = self._rise(at_grasp, _UP)
             if lift is None:
                 continue
-            landing = self._land(in_hand, T_place_pick, lift[-1], grasp)
+            landing = self._land(in_hand, T_place_pick, lift[-1], grasp.opening)
             if not isinstance(landing, int):
                 count = min(len(lift), len(landing.lower))
                 return _Lines(approach[::-1], lift[:count], landing.lower[:count][::-1], landing.retreat)
@@ -140,7 +143,7 @@ class Reach:
                 return False
         return True
 
-    def _land(self, in_hand: Float, wanted: Float, near: Float, grasp: Grasp) -> _Landing | int:
+    def _land(self, in_hand: Float, wanted: Float, near: Float, opening: float) -> _Landing | int:
         """How an object at a (4, 4) pose in the hand is put down at a pose `wanted`; else an index into `_REASONS`."""
         hand = wanted @ invert(in_hand)
         furthest = 2
@@ -151,7 +154,7 @@ class Reach:
             furthest = 3
             self._clearance.carry(in_hand)
             lower = self._rise(at_place, _UP)
-            if lower is not None and self._leaves(wanted, retreat, grasp):
+            if lower is not None and self._leaves(wanted, retreat, opening):
                 return _Landing(lower, retreat)
         return furthest
 
@@ -173,9 +176,9 @@ class Reach:
         motions = squeezed(clearance.points, grasp, clearance.robot.model.gripper)
         return all(map(clearance.room, motions))
 
-    def _leaves(self, wanted: Float, retreat: Float, grasp: Grasp) -> bool:
+    def _leaves(self, wanted: Float, retreat: Float, opening: float) -> bool:
         """Say whether the opened hand gets away from the object where it was put, without taking it along."""
-        clearance, drive = self._clearance, self._clearance.robot.drive_for(grasp.opening)
+        clearance, drive = self._clearance, self._clearance.robot.drive_for(opening)
         clearance.put(wanted, drive, held=True)
         if not clearance.free(retreat[0]):
             return False
@@ -193,7 +196,18 @@ class Reach:
         transfer = self.free_path(lines.lift[-1], lines.lower[0])
         if isinstance(transfer, Failure):
             return transfer
-        return Way(grasp, to_grasp, lines.approach, lines.lift, transfer, lines.lower, lines.retreat)
+        line = self._timer.line
+        return Way(
+            T_world_gripper=grasp.T_world_gripper,
+            opening_m=grasp.opening,
+            closed_m=grasp.closed,
+            to_grasp=to_grasp,
+            approach=line(lines.approach),
+            lift=line(lines.lift),
+            transfer=transfer,
+            lower=line(lines.lower),
+            retreat=line(lines.retreat),
+        )
 
     def adapted(self, way: Way, in_hand: Float, wanted: Float) -> Way | Failure:
         """Plan the second half of a way anew, for an object that lies in the hand otherwise than planned.
@@ -208,34 +222,35 @@ class Reach:
             it; else a Failure.
         """
         clearance = self._clearance
-        clearance.arrange(clearance.robot.drive_for(way.grasp.closed))
-        landing = self._land(in_hand, wanted, way.lower[-1], way.grasp)
+        clearance.arrange(clearance.robot.drive_for(way.closed_m))
+        landing = self._land(in_hand, wanted, way.lower.end, way.opening_m)
         if not isinstance(landing, int):
-            lower = landing.lower[: len(way.lift)][::-1]
             clearance.carry(in_hand, over_table=True)
-            transfer = self.free_path(way.lift[-1], lower[0])
+            transfer = self.free_path(way.lift.end, landing.lower[-1])
             if not isinstance(transfer, Failure):
-                return replace(way, transfer=transfer, lower=lower, retreat=landing.retreat)
+                lower, retreat = self._timer.line(landing.lower[::-1]), self._timer.line(landing.retreat)
+                return way.model_copy(update={"transfer": transfer, "lower": lower, "retreat": retreat})
         clearance.carry(in_hand)
-        if all(map(clearance.free, np.concatenate([densify(way.transfer, _CHECK_RAD), way.lower]))):
+        if all(map(clearance.free, np.concatenate([way.transfer.positions, way.lower.positions]))):
             return way
         return Failure(
             "executor", "as the object lies in the gripper, it would touch something on the way to its place"
         )
 
-    def way_out(self, q: Float) -> Float:
-        """(N, J) straight back along the gripper's axis to where nothing is touched, among objects as arranged.
+    def way_out(self, q: Float) -> Trajectory:
+        """Straight back along the gripper's axis to where nothing is touched, among objects as arranged.
 
-        N is 1 where nothing is touched at `q`, or nowhere on that way.
+        It stays at `q` where nothing is touched there, or nowhere on that way.
         """
         path = self._inverse.line(q, self._back(self._clearance.hand_at(q)), 0.0)
         if path is None:
-            return q[None]
+            return Trajectory.resting(q)
         clear = next((i for i, on_way in enumerate(path) if self._clearance.free(on_way)), 0)
-        return path[: clear + 1]
+        return self._timer.line(path[: clear + 1])
 
-    def free_path(self, start: Float, goal: Float) -> Float | Failure:
-        """(N, J) a path from one pose of the arm to another among objects as arranged."""
+    def free_path(self, start: Float, goal: Float) -> Trajectory | Failure:
+        """A path from one pose of the arm to another among objects as arranged."""
         clearance, chain = self._clearance, self._clearance.robot.chain
         problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, clearance.world())
-        return self._planner.plan(problem, self._seed)
+        path = self._planner.plan(problem, self._seed)
+        return path if isinstance(path, Failure) else self._timer.free(path)
