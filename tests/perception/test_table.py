@@ -53,6 +53,21 @@ def test_the_table_is_found_in_any_world(azimuth: float, noise: float, seed: int
     assert abs(corner[2] - 0.05) < 3e-3
 
 
+def test_a_buffer_that_is_filled_again_is_another_picture() -> None:
+    frames = ring(NOW)
+    buffers = [np.array(frame.depth) for frame in frames]
+    views = [replace(frame, depth=buffer) for frame, buffer in zip(frames, buffers, strict=True)]
+    first = find_table(views)
+    for buffer in buffers:
+        buffer *= 1.2
+    second = find_table([replace(view) for view in views])
+    assert np.linalg.norm(second.T_world_table[:3, 3] - first.T_world_table[:3, 3]) > 0.05
+    moved = make_transform(np.eye(3), UP)
+    again = find_table(in_world(views, moved))
+    np.testing.assert_allclose(again.T_world_table, moved @ second.T_world_table, atol=1e-9)
+    assert again.planes is second.planes
+
+
 def test_a_larger_floor_is_not_the_table() -> None:
     table = find_table([floored(frame) for frame in ring(NOW)])
     assert abs(table.T_world_table[2, 3]) < 3e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -120,38 +121,41 @@ def find_table(frames: Sequence[Frame]) -> Table:
     """
     if not frames:
         raise ToolkitError("the table is found in the current frames, and there is none")
-    T_world_first = frames[0].camera.T_world_camera
-    poses = invert(T_world_first) @ np.stack([frame.camera.T_world_camera for frame in frames])
-    found = next((table for table in _recent if _is_of(table, frames, poses)), None)
-    if found is None:
-        found = _find(tuple(frame.moved(invert(T_world_first)) for frame in frames))
-        _recent.append(found)
-    return replace(found, T_world_table=T_world_first @ found.T_world_table, frames=tuple(frames))
-
-
-_recent: deque[Table] = deque(maxlen=2)
-"""Tables in their first camera's frame."""
-
-
-def _is_of(table: Table, frames: Sequence[Frame], poses: Float) -> bool:
-    """Whether a table is that of frames with (N, 4, 4) poses in their first camera's frame."""
-    if len(table.frames) != len(frames) or not all(map(_is_same_image, table.frames, frames)):
-        return False
-    return bool(np.allclose([frame.camera.T_world_camera for frame in table.frames], poses, rtol=0, atol=_ROUNDING))
-
-
-def _is_same_image(a: Frame, b: Frame) -> bool:
-    """Whether two frames have one depth image in memory; frames that are moved share it."""
-    one, other = a.depth, b.depth
-    if one is None or other is None or one.ctypes.data != other.ctypes.data or one.shape != other.shape:
-        return False
-    return np.array_equal(a.camera.K, b.camera.K)
-
-
-def _find(frames: tuple[Frame, ...]) -> Table:
     for frame in frames:
         if frame.depth is None:
             raise ToolkitError(f"frame {frame.index} has no depth, and the table is found in depth")
+    T_world_first = frames[0].camera.T_world_camera
+    images = [_image(frame) for frame in frames]
+    poses = invert(T_world_first) @ np.stack([frame.camera.T_world_camera for frame in frames])
+    found = next((recent.table for recent in _recent if recent.is_of(images, poses)), None)
+    if found is None:
+        found = _find(tuple(frame.moved(invert(T_world_first)) for frame in frames))
+        _recent.append(_Recent(images, poses, found))
+    return replace(found, T_world_table=T_world_first @ found.T_world_table, frames=tuple(frames))
+
+
+@dataclass(frozen=True, eq=False)
+class _Recent:
+    """A table that was found, in its first camera's frame, and what in: checksums, and (N, 4, 4) poses there."""
+
+    images: list[int]
+    poses: Float
+    table: Table
+
+    def is_of(self, images: list[int], poses: Float) -> bool:
+        return self.images == images and np.allclose(self.poses, poses, rtol=0, atol=_ROUNDING)
+
+
+_recent: deque[_Recent] = deque(maxlen=2)
+
+
+def _image(frame: Frame) -> int:
+    """Checksum of a frame's depth and intrinsics: a camera's driver may fill one buffer again and again."""
+    assert frame.depth is not None
+    return zlib.crc32(frame.camera.K.tobytes(), zlib.crc32(np.ascontiguousarray(frame.depth).data))
+
+
+def _find(frames: tuple[Frame, ...]) -> Table:
     points, cameras, attention = _sample(frames)
     if len(points) < _HYPOTHESES:
         raise ToolkitError(f"only {len(points)} pixels of the current frames have depth, too few to find a table")
