@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from toolkit.errors import ToolkitError
+from toolkit.geometry import invert
 from toolkit.harness.experiment import Cell, load_experiment, only_cell
 from toolkit.harness.worker import make_runner, require_ready
 from toolkit.perception.checks.capture import by_severity, check_current, check_goal, doubted, refuse, usable
@@ -70,7 +71,10 @@ class Session:
         if self._built is not None and scene.database is not self._built:
             # The last goal showed instances to be one object, which the next one need not.
             scene = self._scene = self._runner.pipeline.scene(self._built)
-        self.findings = by_severity([*self._of_frames, *check_goal(goal, scene.database.frames)])
+        # In the table's own frame, where it has been found already.
+        level = scene.database.level
+        in_level = goal.moved(invert(scene.database.T_world_level))
+        self.findings = by_severity([*self._of_frames, *check_goal(in_level, level.frames)])
         refuse(self.findings)
         return doubted(scene.estimate(goal), self.findings)
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import zlib
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -44,9 +42,6 @@ _LEAST_PART = 0.1
 _RASTER_M = 0.005
 
 _NOISES, _LEAST_M = 4.0, 0.004
-
-_ROUNDING = 1e-9
-"""What poses differ by, in metres and as parts of a turn, once they were taken to another world and back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,52 +105,25 @@ def inside_convex(hull: Float, points: Float) -> Mask:
 
 
 def find_table(frames: Sequence[Frame]) -> Table:
-    """Find the table in RGB-D frames of one scene. Recent ones are kept, since every stage asks for it.
+    """Find the table in RGB-D frames of one scene. The last scene's is kept, since every stage asks for it.
 
     All frames are looked at together. Planes are found one after another (RANSAC, Fischler and Bolles, CACM 1981); the
     table is the one that the cameras look at and that carries things: a floor may be larger, and a box's lid nearer.
-    The world may have any orientation: the table is found in the first camera's own frame, once for all worlds.
+    The world may have any orientation.
 
     Raises:
         ToolkitError: there is no frame, a frame has no depth, or no plane holds a fair part of it.
     """
+    return _find(tuple(frames))
+
+
+@lru_cache(maxsize=2)
+def _find(frames: tuple[Frame, ...]) -> Table:
     if not frames:
         raise ToolkitError("the table is found in the current frames, and there is none")
     for frame in frames:
         if frame.depth is None:
             raise ToolkitError(f"frame {frame.index} has no depth, and the table is found in depth")
-    T_world_first = frames[0].camera.T_world_camera
-    images = [_image(frame) for frame in frames]
-    poses = invert(T_world_first) @ np.stack([frame.camera.T_world_camera for frame in frames])
-    found = next((recent.table for recent in _recent if recent.is_of(images, poses)), None)
-    if found is None:
-        found = _find(tuple(frame.moved(invert(T_world_first)) for frame in frames))
-        _recent.append(_Recent(images, poses, found))
-    return replace(found, T_world_table=T_world_first @ found.T_world_table, frames=tuple(frames))
-
-
-@dataclass(frozen=True, eq=False)
-class _Recent:
-    """A table that was found, in its first camera's frame, and what in: checksums, and (N, 4, 4) poses there."""
-
-    images: list[int]
-    poses: Float
-    table: Table
-
-    def is_of(self, images: list[int], poses: Float) -> bool:
-        return self.images == images and np.allclose(self.poses, poses, rtol=0, atol=_ROUNDING)
-
-
-_recent: deque[_Recent] = deque(maxlen=2)
-
-
-def _image(frame: Frame) -> int:
-    """Checksum of a frame's depth and intrinsics: a camera's driver may fill one buffer again and again."""
-    assert frame.depth is not None
-    return zlib.crc32(frame.camera.K.tobytes(), zlib.crc32(np.ascontiguousarray(frame.depth).data))
-
-
-def _find(frames: tuple[Frame, ...]) -> Table:
     points, cameras, attention = _sample(frames)
     if len(points) < _HYPOTHESES:
         raise ToolkitError(f"only {len(points)} pixels of the current frames have depth, too few to find a table")
