@@ -25,6 +25,7 @@ HERE = Path(__file__).parent
 _TOOLKIT = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
 BENCHMARKS = {
     "waiting": ["captures", "--scenes", "6"],
+    "kernels": ["captures/000001"],
     "pnp": ["--problems", "160", "--seed", "0"],
     "loftr": ["--crop", "320", "--candidates", "8", "--objects", "3", "--repeats", "3"],
     "motion": ["--pairs", "100", "--seed", "0"],
