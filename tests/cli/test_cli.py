@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -15,7 +16,7 @@ import pytest
 from command_line import own_process, toolkit
 
 from toolkit import __version__
-from toolkit.cli import doctor
+from toolkit.cli import commands, doctor
 from toolkit.data.bop import load_capture
 from toolkit.data.clouds import read_cloud
 from toolkit.data.scene import TabletopConfig
@@ -371,3 +372,17 @@ def test_datasets_are_built_and_shown(tmp_path):
     shown = toolkit("dataset", "show", tmp_path / "d")
     assert "captures: 1" in shown.stdout and "rendered by PyBullet" in shown.stdout
     assert (tmp_path / "d" / "overview.png").is_file()
+
+
+@pytest.mark.parametrize(("command", "resumes"), [("plan", False), ("estimate", False), ("ablate", True)])
+def test_ctrl_c_names_resume_where_it_is_an_option(command, resumes, monkeypatch, capsys):
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(sys, "argv", ["toolkit", command])
+    monkeypatch.setattr(commands, "app", lambda: signal.raise_signal(signal.SIGINT))
+    try:
+        with pytest.raises(SystemExit) as end:
+            commands.main()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    said = capsys.readouterr().err
+    assert end.value.code == 130 and said.startswith("stopped") and ("--resume" in said) == resumes

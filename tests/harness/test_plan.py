@@ -131,7 +131,7 @@ def test_what_is_not_sure_enough_is_left_where_it_is():
     left = planning._believed(estimate, 0.5)
     assert left.T_goal_current is None
     assert left.failure.reason == (
-        "its motion is right with a probability of 43%, and 50% are asked for; look at it, and take it by --sure 0.42"
+        "its motion is right with a probability of 42%, and 50% are asked for; look at it, and take it by --sure 0.42"
     )
 
 

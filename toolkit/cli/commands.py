@@ -42,6 +42,9 @@ def options(
 _FULL_OR_FORBIDDEN = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST}
 """What goes wrong wherever a command writes: no room, no permission, or a file where a folder is to be."""
 
+_RUNS = {"ablate", "rearrange"}
+"""Commands that write rows as they come, and have --resume."""
+
 
 class _Stopped(BaseException):
     """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
@@ -71,5 +74,6 @@ def main() -> None:
         sys.stderr.write(f"error: {what}: {error.strerror}; name another folder ($TOOLKIT_CACHE names the cache's)\n")
         sys.exit(2)
     except _Stopped:
-        sys.stderr.write("stopped; finished rows are kept, and --resume goes on with them\n")
+        kept = "; finished rows are kept, and --resume goes on with them" if _RUNS.intersection(sys.argv[1:2]) else ""
+        sys.stderr.write(f"stopped{kept}\n")
         sys.exit(130)

@@ -9,6 +9,7 @@ import numpy as np
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
+from toolkit.files import writing
 from toolkit.harness.experiment import Cell
 from toolkit.harness.runs import writable
 from toolkit.harness.session import Session
@@ -119,15 +120,15 @@ def estimate_capture(capture: Capture, session: Session, out: Path, progress: Pr
         progress.now("Looking for the motions towards the goal")
         estimates = session.estimate(capture.goal)
     except RefusedError:
-        with writable(f"'{out}'"):
+        with writing(f"'{out}'"):
             refuse(illustrated(out, capture.current, capture.goal, session.findings))
         raise
-    with writable(f"'{out}'"):
+    with writing(f"'{out}'"):
         findings = illustrated(out, capture.current, capture.goal, session.findings)
     for finding in findings:
         progress.say(f"{capture.name}: {finding.severity}: {finding.sentence}")
     progress.now("Writing")
     answer = Answer(estimates, session.scene.database, session.scene.clouds(), findings)
-    with writable(f"'{out}'"):
+    with writing(f"'{out}'"):
         write_poses(out, capture, answer.database, answer.clouds, estimates, findings)
     return answer

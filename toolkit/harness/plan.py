@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from toolkit.errors import ToolkitError
+from toolkit.files import writing
 from toolkit.geometry import invert
 from toolkit.harness.estimate import Answer, estimate_capture, read_capture
 from toolkit.harness.experiment import Cell, create_stage, episode_settings
-from toolkit.harness.runs import writable
 from toolkit.harness.session import Session
 from toolkit.pictures.dry_run import DryRun
 from toolkit.pictures.film import Film
@@ -96,7 +96,7 @@ def plan_folder(folder: Path, cell: Cell, out: Path, request: PlanRequest, progr
         to_home=None if isinstance(planned.to_home, Failure) else planned.to_home,
         not_planned=tuple(_not_planned(sight, planned.failures)),
     )
-    with writable(f"'{out}'"):
+    with writing(f"'{out}'"):
         plan.write(out / PLAN)
         if request.film and plan.moves:
             progress.now("Filming")
@@ -119,8 +119,10 @@ def _believed(estimate: PoseEstimate, sure: float) -> PoseEstimate:
     confidence = estimate.confidence
     if estimate.T_goal_current is None or confidence is None or confidence >= sure:
         return estimate
-    reason = f"its motion is right with a probability of {confidence:.0%}, and {sure:.0%} are asked for; look at it"
-    failure = Failure("pose", f"{reason}, and take it by --sure {np.floor(100 * confidence) / 100:.2f}")
+    # Rounded down: what is said to be enough is.
+    share = np.floor(100 * confidence) / 100
+    reason = f"its motion is right with a probability of {share:.0%}, and {sure:.0%} are asked for; look at it"
+    failure = Failure("pose", f"{reason}, and take it by --sure {share:.2f}")
     return replace(estimate, T_goal_current=None, equivalents=None, ambiguity=None, covariance=None, failure=failure)
 
 
