@@ -20,6 +20,7 @@ from toolkit.cli import commands, doctor
 from toolkit.data.bop import load_capture
 from toolkit.data.clouds import read_cloud
 from toolkit.data.scene import TabletopConfig
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, transform_points
 from toolkit.harness.experiment import PipelineChoice, RearrangeChoice, load_experiment
 from toolkit.results.poses import read_poses
@@ -386,3 +387,21 @@ def test_ctrl_c_names_resume_where_it_is_an_option(command, resumes, monkeypatch
         signal.signal(signal.SIGINT, before)
     said = capsys.readouterr().err
     assert end.value.code == 130 and said.startswith("stopped") and ("--resume" in said) == resumes
+
+
+def test_ctrl_c_in_an_import_is_no_fault_of_what_is_imported(monkeypatch, capsys):
+    def broken_off():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException as error:
+            raise ToolkitError("segmenter 'multiview' cannot be loaded") from error
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(sys, "argv", ["toolkit", "estimate"])
+    monkeypatch.setattr(commands, "app", broken_off)
+    try:
+        with pytest.raises(SystemExit) as end:
+            commands.main()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert end.value.code == 130 and capsys.readouterr().err == "stopped\n"

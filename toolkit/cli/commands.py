@@ -6,7 +6,7 @@ import errno
 import logging
 import signal
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -49,19 +49,31 @@ _RUNS = {"ablate", "rearrange"}
 class _Stopped(BaseException):
     """Ctrl-C. Not a KeyboardInterrupt, which Typer would answer in its own words."""
 
+    heard = False
+
 
 def _stop(*_: object) -> None:
+    _Stopped.heard = True
     raise _Stopped
+
+
+def _say_stopped() -> NoReturn:
+    kept = "; finished rows are kept, and --resume goes on with them" if _RUNS.intersection(sys.argv[1:2]) else ""
+    sys.stderr.write(f"stopped{kept}\n")
+    sys.exit(130)
 
 
 def main() -> None:
     """Entry point: a user's mistake is answered in one or two lines and exit code 2, never with a traceback."""
+    _Stopped.heard = False
     signal.signal(signal.SIGINT, _stop)
     # It warns where a home cannot be written, which costs it a second and nobody else anything.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         app()
     except ToolkitError as error:
+        if _Stopped.heard:  # in the middle of an import, which then says that something cannot be loaded
+            _say_stopped()
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
     except plugins.CheckFailedError as error:
@@ -74,6 +86,4 @@ def main() -> None:
         sys.stderr.write(f"error: {what}: {error.strerror}; name another folder ($TOOLKIT_CACHE names the cache's)\n")
         sys.exit(2)
     except _Stopped:
-        kept = "; finished rows are kept, and --resume goes on with them" if _RUNS.intersection(sys.argv[1:2]) else ""
-        sys.stderr.write(f"stopped{kept}\n")
-        sys.exit(130)
+        _say_stopped()

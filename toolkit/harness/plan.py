@@ -143,12 +143,18 @@ def _require_place(arm: ArmPlanner, sight: Sight) -> None:
                 f"no object lies where '{robot.model.name}' can reach: the nearest is {away:.2f} m from its "
                 f"shoulder, and stretched out it is {reach:.2f} m long; {where}"
             )
-    everything = np.concatenate([sight.unknown, *sight.clouds.values(), *sight.hidden.values()])
-    arm.clearance.see(np.zeros((0, 3)), everything)
-    if not arm.clearance.free(np.array(robot.model.home)):
+    home, name = np.array(robot.model.home), robot.model.name
+    stands = f"with its base {100 * base[2]:.0f} cm above the table's plane"
+    seen = np.concatenate([np.zeros((0, 3)), *sight.clouds.values()])
+    unseen = np.concatenate([sight.unknown, *sight.hidden.values()])
+    arm.clearance.see(np.zeros((0, 3)), seen)
+    if not arm.clearance.free(home):
+        raise ToolkitError(f"'{name}' touches the table or what stands on it when it is at its home, {stands}; {where}")
+    arm.clearance.see(np.zeros((0, 3)), np.concatenate([seen, unseen]))
+    if not arm.clearance.free(home):
         raise ToolkitError(
-            f"'{robot.model.name}' touches the table or what stands on it when it is at its home, with its base "
-            f"{100 * base[2]:.0f} cm above the table's plane; {where}"
+            f"'{name}' reaches at its home into space that no current frame looked into, {stands}; {where}, or add "
+            "frames that see the table from the other sides"
         )
 
 

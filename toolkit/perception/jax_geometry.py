@@ -1,10 +1,19 @@
-"""What of `geometry` is needed inside compiled code, for JAX."""
+"""What of `geometry` is needed inside compiled code, for JAX, and the way into it."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
+
+
+def on_device(values: Any) -> Float[Array, ...]:
+    """Numbers as a float32 array of JAX's; unlike `jnp.asarray`, without a program compiled for every shape."""
+    return jax.device_put(np.asarray(values, np.float32))
 
 
 def skew(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:

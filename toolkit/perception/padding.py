@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Shaped
 from numpy.typing import NDArray
@@ -19,4 +18,4 @@ def pad_rows(rows: Shaped[NDArray[Any], "N ..."], least: int = SMALLEST) -> Shap
     size = next((least * 4**k for k in range(_STEPS) if least * 4**k >= len(rows)), len(rows))
     padded = np.zeros((size, *rows.shape[1:]), rows.dtype)
     padded[: len(rows)] = rows
-    return jnp.asarray(padded)
+    return jax.device_put(padded)  # `jnp.asarray` compiles a program for every shape

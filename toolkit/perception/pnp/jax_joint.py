@@ -22,6 +22,9 @@ from toolkit.types import Correspondences, Float
 _SAMPLES = 2048
 """Pairs of points that hypotheses on the table are made from: with two points few samples hold an outlier."""
 
+_LEAST = 512
+"""Matches that problems are filled up to: what few objects need less is less than another program to compile."""
+
 
 class JointConfig(PnPConfig):
     """Settings of `jax_joint`."""
@@ -46,8 +49,8 @@ class JaxJoint(RobustPnP[JointConfig]):
         with _float64_on_cpu():
             evidence = self._evidence(problem, center)
             if self.config.prior == "planar":
-                samples = jnp.asarray(_draw_pairs(problem.weights, seed))
-                start = search_planar(evidence, samples, jnp.asarray(center[2]))
+                samples = jax.device_put(_draw_pairs(problem.weights, seed))
+                start = search_planar(evidence, samples, jax.device_put(center[2]))
             else:
                 T = JaxRansac(self.config).find_pose(problem, seed)
                 if T is None:
@@ -67,7 +70,7 @@ class JaxJoint(RobustPnP[JointConfig]):
         T = invert(problem.camera.T_world_camera)
         padded = (problem.points - center, (problem.pixels - problem.K[:2, 2]) / focal, problem.weights)
         fixed = (focal, T[:3, :3], T[:3, 3], np.asarray(self.config.reprojection_px))
-        return Evidence(*map(pad_rows, padded), *map(jnp.asarray, fixed))
+        return Evidence(*(pad_rows(array, _LEAST) for array in padded), *map(jax.device_put, fixed))
 
     def _free(self) -> jax.Array:
         return jnp.array([0.0, 0, 1, 1, 1, 0]) if self.config.prior == "planar" else jnp.ones(6)
@@ -82,7 +85,7 @@ def _float64_on_cpu() -> ExitStack:
 
 def _motion(problem: Correspondences, T_camera_world: Float, center: Float) -> Pose:
     T = problem.camera.T_world_camera @ T_camera_world
-    return Pose(jnp.asarray(T[:3, :3]), jnp.asarray(transform_points(T, center)))
+    return Pose(jax.device_put(T[:3, :3]), jax.device_put(transform_points(T, center)))
 
 
 def _draw_pairs(weights: Float, seed: int) -> NDArray[np.int32]:

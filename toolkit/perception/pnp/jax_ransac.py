@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,12 +39,14 @@ class JaxRansac(RobustPnP):
         samples = _draw_samples(len(subset), self.config.iterations, rng)
 
         def padded(points: Float, rays: Float) -> Problem:
-            valid, threshold = np.ones(len(points), bool), jnp.asarray(self.config.reprojection_px)
-            return Problem(pad_rows(points), pad_rows(rays), pad_rows(valid), jnp.asarray(focal), threshold)
+            valid, threshold = np.ones(len(points), bool), jax.device_put(np.asarray(self.config.reprojection_px))
+            return Problem(pad_rows(points), pad_rows(rays), pad_rows(valid), jax.device_put(focal), threshold)
 
         with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
             pose, cost = search(
-                padded(points[subset], rays[subset]), jnp.asarray(samples), jnp.asarray(self.config.confidence)
+                padded(points[subset], rays[subset]),
+                jax.device_put(samples),
+                jax.device_put(np.asarray(self.config.confidence)),
             )
             pose, cost = jax.device_get((polish(padded(points, rays), pose), cost))
         if not np.isfinite(cost):

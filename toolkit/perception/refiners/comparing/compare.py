@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolkit.geometry import invert, is_same_motion, make_transform
+from toolkit.perception.jax_geometry import on_device
 from toolkit.perception.refiners.comparing.align import Freedom, Source, align
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.goal import GoalView
@@ -93,11 +93,11 @@ def compare(cloud: Cloud, goal: GoalView, starts: Sequence[Float], search: Searc
     """
     turns, places = _first_guesses(cloud, goal, starts, search)
     refined = align(
-        jnp.asarray(turns, jnp.float32),
-        jnp.asarray(places, jnp.float32),
+        on_device(turns),
+        on_device(places),
         _sources(cloud, goal, turns, places, search.patches),
         goal.image,
-        Freedom(*(jnp.asarray(v, jnp.float32) for v in (search.free, search.rests, cloud.table))),
+        Freedom(*map(on_device, (search.free, search.rests, cloud.table))),
         search.iterations,
     )
     parts = [np.asarray(part, np.float64) for part in jax.device_get(refined)]
@@ -200,9 +200,9 @@ def _agreement(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Score:
     poses = np.zeros((len(R), 4, 4), np.float32)
     poses[:, :3, :3] = T[:3, :3] @ R
     poses[:, :3, 3] = t @ T[:3, :3].T + T[:3, 3]
-    K = jnp.asarray(goal.frame.camera.K, jnp.float32)
-    arrays = (jnp.asarray(a) for a in (cloud.points, cloud.normals, cloud.colors, cloud.valid, cloud.seen))
-    return jax.device_get(score_poses(*arrays, K, jnp.asarray(poses), jnp.asarray(cloud.shade(R)), goal.grid))
+    K = on_device(goal.frame.camera.K)
+    arrays = map(jax.device_put, (cloud.points, cloud.normals, cloud.colors, cloud.valid, cloud.seen))
+    return jax.device_get(score_poses(*arrays, K, jax.device_put(poses), jax.device_put(cloud.shade(R)), goal.grid))
 
 
 def _peaks(scores: Float, R: Float, count: int) -> NDArray[np.int64]:
@@ -235,8 +235,7 @@ def _sources(cloud: Cloud, goal: GoalView, R: Float, t: Float, patches: int) -> 
         values.append(np.concatenate([c[1] for c in chosen], axis=1))
         weights.append(np.concatenate([c[2] for c in chosen]))
     shape = np.broadcast_to(cloud.points, (len(R), *cloud.points.shape))
-    stacked = [jnp.asarray(np.stack(arrays), jnp.float32) for arrays in (points, values, weights)]
-    return Source(stacked[0], stacked[1], stacked[2], jnp.asarray(shape))
+    return Source(*map(on_device, (np.stack(points), np.stack(values), np.stack(weights), shape)))
 
 
 def _orthonormal(R: Float) -> Float:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import jax.numpy as jnp
 import numpy as np
 
 from toolkit.geometry import invert
+from toolkit.perception.jax_geometry import on_device
 from toolkit.perception.refiners.comparing.align import GoalImage
 from toolkit.perception.refiners.comparing.images import normalized, opponent
 from toolkit.perception.refiners.comparing.render import GRID, GoalGrid
@@ -76,11 +76,11 @@ def _grid(frame: Frame, segment: Segment, hidden: Mask) -> GoalGrid:
     mask = _resampled(segment.mask.astype(np.float32), origin, scale, GRID)
     covered = _resampled(hidden.astype(np.float32), origin, scale, GRID)
     return GoalGrid(
-        jnp.asarray(color / np.maximum(mask, 0.25)[..., None]),
-        jnp.asarray((mask > 0.5).astype(np.float32)),
-        jnp.asarray((covered > 0.25).astype(np.float32)),
-        jnp.asarray(scale, jnp.float32),
-        jnp.asarray(origin, jnp.float32),
+        on_device(color / np.maximum(mask, 0.25)[..., None]),
+        on_device(mask > 0.5),
+        on_device(covered > 0.25),
+        on_device(scale),
+        on_device(origin),
     )
 
 
@@ -113,7 +113,7 @@ def _image(frame: Frame, segment: Segment, hidden: Mask) -> GoalImage:
     K[:2, 2] += 0.5 * scale - start * scale - 0.5
     T = invert(frame.camera.T_world_camera)
     arrays = (values, outside, _padded(contour), _padded(normals), weight, K, T[:3, :3], T[:3, 3])
-    return GoalImage(*(jnp.asarray(array, jnp.float32) for array in arrays))
+    return GoalImage(*map(on_device, arrays))
 
 
 def _outline(mask: Mask, covered: Mask, frame: Frame, origin: Float, scale: float) -> tuple[Float, Float]:
