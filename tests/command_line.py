@@ -14,9 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from toolkit.cli.commands import main
+from toolkit.cli import commands
 
-ROOT = Path(__file__).parents[1]
+PACKAGES = Path(commands.__file__).parents[2]
+"""Where the toolkit that is tested lies: other processes are to have the same, installed or not."""
+
 START = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
 TERMINAL = {"COLUMNS": "120", "NO_COLOR": "1"}
 
@@ -44,7 +46,7 @@ def toolkit(*arguments: object, folder: Path | None = None, **environment: str) 
         patch.chdir(folder or Path.cwd())
         patch.setattr(sys, "argv", call)
         with pytest.raises(SystemExit) as end:
-            main()
+            commands.main()
     signal.signal(signal.SIGINT, before)
     return subprocess.CompletedProcess(call, end.value.code or 0, out.getvalue(), err.getvalue())
 
@@ -64,7 +66,7 @@ def own_process(*arguments: object, folder: Path | None = None, **environment: s
 
 def shell(code: str, folder: Path) -> None:
     """Run a block of Bash in a folder; its `toolkit` is this process's, but for what registers plugins."""
-    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+    path = os.pathsep.join(p for p in (str(PACKAGES), os.environ.get("PYTHONPATH")) if p)
     programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     with tempfile.TemporaryDirectory() as made, tempfile.TemporaryFile("w+") as said:
         asked, answered = (Path(made) / name for name in ("asked", "answered"))

@@ -7,8 +7,9 @@ import runpy
 from pathlib import Path
 
 import pytest
-from command_line import ROOT, shell
+from command_line import shell
 
+ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 MEASURE = runpy.run_path(str(ROOT / "docs" / "generate" / "measure.py"))
