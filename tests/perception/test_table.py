@@ -81,6 +81,16 @@ def test_every_frame_has_its_own_version_of_the_table() -> None:
     assert own is not None and abs(own.camera_height - 0.75) < 1e-3
 
 
+def test_depth_in_one_column_alone_breaks_no_fit() -> None:
+    frame = ring(NOW)[0]
+    assert frame.depth is not None
+    column = np.zeros((HEIGHT, WIDTH), np.float32)
+    column[:, WIDTH // 2] = frame.depth[:, WIDTH // 2]
+    narrow = replace(frame, depth=column)
+    plane = fit_near(narrow, np.eye(4), 0.012)
+    assert plane is None or np.isfinite(plane.coefficients).all()
+
+
 def test_depth_without_a_table_is_a_users_mistake() -> None:
     frames = ring(NOW)
     blind = [replace(frame, depth=np.zeros((HEIGHT, WIDTH), np.float32)) for frame in frames]

@@ -16,6 +16,16 @@ def on_device(values: Any) -> Float[Array, ...]:
     return jax.device_put(np.asarray(values, np.float32))
 
 
+def rotated(R: Float[Array, "3 3"], points: Float[Array, "N 3"]) -> tuple[Float[Array, " N"], ...]:
+    """x, y and z of R p for all points p.
+
+    One array per coordinate: XLA fuses what is so with what comes after it into one loop, and products of small
+    matrices not at all.
+    """
+    x, y, z = points.T
+    return tuple(R[i, 0] * x + R[i, 1] * y + R[i, 2] * z for i in range(3))
+
+
 def skew(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """The matrices of the cross product with vectors."""
     return jnp.cross(v[..., None, :], jnp.eye(3), axisc=-2)

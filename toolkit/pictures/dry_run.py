@@ -12,7 +12,7 @@ import numpy as np
 from toolkit.geometry import invert, lift, look_at, project, transform_points
 from toolkit.perception.database import Database
 from toolkit.perception.fusion import Clouds
-from toolkit.pictures.recording import load_rerun, log_camera, log_picture, log_points, recording
+from toolkit.pictures.recording import load_rerun, log_camera, log_picture, log_points, recording, transform
 from toolkit.rearrangement.drivers import JointState
 from toolkit.rearrangement.plans import ArmPlan, PlannedMove
 from toolkit.sim.robot import Robot
@@ -149,15 +149,11 @@ class DryRun:
         stream.set_time("film", duration=seconds)
         T, back = self._T_world_table, invert(self._T_world_table)
         for number, moved in self._moved.items():
-            stream.log(f"table/{number}", _transform(rr, T @ moved @ back))
+            stream.log(f"table/{number}", transform(rr, T @ moved @ back))
         joints, hand = (T @ frames for frames in self._robot.chain.frames(self._robot.q[None]))
         line = np.concatenate([joints[0, :, :3, 3], hand[:, :3, 3]])
         stream.log("robot", rr.LineStrips3D([line], radii=0.02))
-        stream.log("robot/hand", _transform(rr, hand[0]))
-
-
-def _transform(rr: Any, T: Float) -> Any:
-    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+        stream.log("robot/hand", transform(rr, hand[0]))
 
 
 def _from_across(middle: Float, base: Float) -> Camera:

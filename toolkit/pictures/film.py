@@ -16,7 +16,7 @@ from toolkit.data.objects import ObjectAsset
 from toolkit.data.tabletop import TabletopScene
 from toolkit.errors import ToolkitError
 from toolkit.pictures.drawing import scaled_to_height
-from toolkit.pictures.recording import load_rerun, log_box, log_camera, log_picture, recording
+from toolkit.pictures.recording import load_rerun, log_box, log_camera, log_picture, recording, transform
 from toolkit.types import Float, Image
 
 _FRAMES_PER_S = 25
@@ -151,7 +151,7 @@ def record_poses(executor: Filmable, scene: TabletopScene, path: Path) -> Genera
             for number, T in (executor.state() or {}).items():
                 if number not in shown or not np.array_equal(shown[number], T):
                     shown[number] = T.copy()
-                    stream.log(f"table/{number}", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+                    stream.log(f"table/{number}", transform(rr, T))
 
         yield on_frame
 

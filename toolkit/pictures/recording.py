@@ -125,11 +125,16 @@ def record_scene(
         stream.log("summary", words, static=True)
 
 
+def transform(rr: Any, T: Float) -> Any:
+    """A (4, 4) pose as Rerun has it."""
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+
 def log_camera(stream: Any, rr: Any, entity: str, camera: Camera) -> None:
     """Log a posed pinhole camera. Rerun's pixel (0, 0) is the corner of the top-left pixel, ours its centre."""
     T, K = camera.T_world_camera, camera.K.copy()
     K[:2, 2] += 0.5
-    stream.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
+    stream.log(entity, transform(rr, T), static=True)
     pinhole = rr.Pinhole(
         image_from_camera=K,
         resolution=[camera.width, camera.height],

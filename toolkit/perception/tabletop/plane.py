@@ -96,7 +96,7 @@ def fit_near(frame: Frame, T_world_table: Float, reach: float) -> Plane | None:
         if inliers.sum() < _LEAST_INLIERS:
             return None
         near, inverse = rays[inliers], 1 / depth[inliers]
-        coefficients = np.linalg.solve(near.T @ near, near.T @ inverse)
+        coefficients = np.linalg.lstsq(near.T @ near, near.T @ inverse, rcond=None)[0]
         residual = inverse - near @ coefficients
         plane = Plane(coefficients, float(deviation(residual)))
         spread = 3 * plane.noise * plane.camera_height * float(np.median(depth[inliers]))

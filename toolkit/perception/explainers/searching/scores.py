@@ -11,6 +11,7 @@ from jax import Array
 from jaxtyping import Float32, Int32
 
 from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
+from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.padding import pad_rows
 from toolkit.types import Float
 
@@ -89,20 +90,14 @@ def _score(
     K: Float32[Array, "3 3"],
     T: Float32[Array, "4 4"],
 ) -> Float32[Array, " B"]:
-    """Mean gains, given the pixels of an image (H, W) of this size: colours, cost and depth of what is known there.
-
-    Coordinate by coordinate: XLA fuses that into one loop over all points of all motions, and matrices not at all.
-    """
-    (x, y, z), (nx, ny, nz), eye = points.T, normals.T, -T[:3, :3].T @ T[:3, 3]
+    """Mean gains, given the pixels of an image (H, W) of this size: colours, cost and depth of what is known there."""
+    (nx, ny, nz), eye = normals.T, -T[:3, :3].T @ T[:3, 3]
 
     def gain(yaw: Float32[Array, ""], place: Float32[Array, " 3"]) -> Float32[Array, ""]:
         c, s = jnp.cos(yaw), jnp.sin(yaw)
-        turned_x, turned_y, shift = (
-            T[:3, 0] * c + T[:3, 1] * s,
-            T[:3, 1] * c - T[:3, 0] * s,
-            T[:3, :3] @ place + T[:3, 3],
-        )
-        right, down, ahead = (turned_x[i] * x + turned_y[i] * y + T[i, 2] * z + shift[i] for i in range(3))
+        turn = jnp.stack([T[:3, 0] * c + T[:3, 1] * s, T[:3, 1] * c - T[:3, 0] * s, T[:3, 2]], axis=1)
+        shift = T[:3, :3] @ place + T[:3, 3]
+        right, down, ahead = (turned + t for turned, t in zip(rotated(turn, points), shift, strict=True))
         view = eye - place
         view /= jnp.linalg.norm(view)
         front = (c * view[0] + s * view[1]) * nx + (c * view[1] - s * view[0]) * ny + view[2] * nz > _GRAZING

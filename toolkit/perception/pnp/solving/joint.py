@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
+from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 
 _OPTIMISED = 8
@@ -109,14 +110,9 @@ def _from_two_points(evidence: Evidence, rows: Int[Array, " 2"], height: Float[A
 
 
 def _squared(evidence: Evidence, motion: Pose) -> Float[Array, " N"]:
-    """Squared errors in pixels, huge behind the camera.
-
-    Coordinate by coordinate: XLA fuses this into one loop over points, and products of small matrices not at all.
-    """
-    R, t = evidence.R @ motion.R, evidence.R @ motion.t + evidence.t
-    x, y, z = (
-        R[i, 0] * px + R[i, 1] * py + R[i, 2] * pz + t[i] for px, py, pz in [evidence.points.T] for i in range(3)
-    )
+    """Squared errors in pixels, huge behind the camera."""
+    shift = evidence.R @ motion.t + evidence.t
+    x, y, z = (turned + t for turned, t in zip(rotated(evidence.R @ motion.R, evidence.points), shift, strict=True))
     u = (x / z - evidence.rays[:, 0]) * evidence.focal[0]
     v = (y / z - evidence.rays[:, 1]) * evidence.focal[1]
     return jnp.where(z > 0, u * u + v * v, 1e12)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from toolkit.perception.jax_geometry import rotation_exp
+from toolkit.perception.jax_geometry import rotated, rotation_exp
 
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
 """Deviation of normalised intensities that agree, and the share of them that is independent (they are blurred)."""
@@ -147,7 +147,7 @@ Equations = tuple[Float[Array, "6 6"], Float[Array, " 6"]]
 
 
 class _Seen(NamedTuple):
-    """Points in the goal's picture, one array per coordinate: XLA fuses what is so into single loops.
+    """Points in the goal's picture, one array per coordinate (`rotated`).
 
     Attributes:
         u: pixels, and how they change with (turn, shift) in the camera's axes.
@@ -176,9 +176,8 @@ def _normal_equations(
 
 def _seen(points: Float[Array, "M 3"], R: Float[Array, "3 3"], t: Float[Array, " 3"], goal: GoalImage) -> _Seen:
     """Centred points, turned and placed, as the goal's camera sees them."""
-    turn, (tx, ty, tz) = goal.R @ R, goal.R @ t + goal.t
-    (px, py, pz), (fx, fy) = points.T, (goal.K[0, 0], goal.K[1, 1])
-    x, y, z = (turn[i, 0] * px + turn[i, 1] * py + turn[i, 2] * pz for i in range(3))
+    (x, y, z), (tx, ty, tz) = rotated(goal.R @ R, points), goal.R @ t + goal.t
+    fx, fy = goal.K[0, 0], goal.K[1, 1]
     ahead = jnp.maximum(z + tz, 1e-2)
     flat_x, flat_y = (x + tx) / ahead, (y + ty) / ahead
     # Pixel gradients (a, 0, b) and (0, c, d) by camera coordinates; by the turn they are (x, y, z) x gradient.
