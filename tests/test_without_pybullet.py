@@ -114,14 +114,14 @@ print(json.dumps([len(names), failed]))
     assert not {name: why for name, why in failed.items() if not why.startswith(f"ToolkitError: {SENTENCE}")}
 
 
-def test_estimating_evaluating_and_reporting_work(command, dataset):
-    for arguments in (
-        ("estimate", dataset / "000000", "--out", "poses"),
-        ("evaluate", dataset, "--out", "evaluated", "--refiner", "none", "--pnp", "poselib"),
+def test_estimating_evaluating_and_reporting_work(commands, dataset):
+    answers = commands(
+        ("estimate", str(dataset / "000000"), "--out", "poses"),
+        ("evaluate", str(dataset), "--out", "evaluated", "--refiner", "none", "--pnp", "poselib"),
         ("report", "evaluated"),
-        ("dataset", "show", dataset),
-    ):
-        code, said = command(*arguments)
+        ("dataset", "show", str(dataset)),
+    )
+    for code, said in answers:
         assert code == 0, said
 
 

@@ -213,7 +213,7 @@ def test_doctor_names_two_opencvs_in_one_environment(monkeypatch):
 
 
 def test_estimate_writes_poses_masks_and_pictures(dataset, tmp_path):
-    done = own_process("estimate", dataset / "000000", "--out", tmp_path / "out")
+    done = toolkit("estimate", dataset / "000000", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     poses = json.loads((tmp_path / "out" / "poses.json").read_text())
     assert poses["schema"] == 2 and poses["capture"] == "000000"

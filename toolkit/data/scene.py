@@ -46,7 +46,7 @@ class TabletopConfig(ConditionSettings):
         description="Objects are turned by at most this between goal and now, either way, in degrees.",
     )
     views: int = Field(
-        8, ge=1, le=64, description="Current frames, the first from the home view; in the wild track, the most."
+        8, ge=1, le=256, description="Current frames, the first from the home view; in the wild track, the most."
     )
     resolution: Resolution = Field("640x480", description="Image size.")
     poses: Literal["upright", "stable"] = Field(

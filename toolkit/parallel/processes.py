@@ -36,7 +36,18 @@ _ONE_THREAD: dict[str, Any] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_TH
 _NO_MAIN = {"__main__": ModuleType("__main__")}
 """The main module is a user's script, and may have no guard against being run by a process that starts."""
 
-_HEAVY = ("torch", "jax", "cv2", "scipy.optimize", "scipy.spatial", "scipy.stats", "sklearn", "trimesh", "kornia", "faiss")
+_HEAVY = (
+    "torch",
+    "jax",
+    "cv2",
+    "scipy.optimize",
+    "scipy.spatial",
+    "scipy.stats",
+    "sklearn",
+    "trimesh",
+    "kornia",
+    "faiss",
+)
 """What takes long to import, beside the toolkit's own modules."""
 
 
