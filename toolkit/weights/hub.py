@@ -23,7 +23,7 @@ def fetch_from_hub(address: str, target: Path) -> None:
         OSError: it is not in the cache, and the hub cannot be reached, has no such file, or is not asked
             ($HF_HUB_OFFLINE).
     """
-    from huggingface_hub import hf_hub_download
+    from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url, try_to_load_from_cache
     from huggingface_hub.utils import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars, logging
 
     logging.set_verbosity_error()
@@ -31,6 +31,9 @@ def fetch_from_hub(address: str, target: Path) -> None:
     silent = are_progress_bars_disabled()
     disable_progress_bars()
     try:
+        if not isinstance(try_to_load_from_cache(f"{owner}/{repo}", file), str):
+            # Fails at once where the hub cannot be reached; the download itself tries again for half a minute first.
+            get_hf_file_metadata(hf_hub_url(f"{owner}/{repo}", file))
         shutil.copyfile(hf_hub_download(f"{owner}/{repo}", file), target)
     except Exception as error:
         # The library's errors, and those of what it sends requests with, have no common base.
