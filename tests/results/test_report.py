@@ -18,8 +18,10 @@ from rich.console import Console
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
+from toolkit.pictures.cases import write_case
 from toolkit.pictures.drawing import overlay
 from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.completion import telling_scenes
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
 from toolkit.results.rows import read_rows, summarize, summary_lines, write_rows, write_summary
@@ -46,6 +48,24 @@ def test_the_report_needs_nothing_else(write):
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:|#)", page)
     assert "<script>" not in page and "&lt;script&gt;bad" in page
     assert "too few inliers &lt;b&gt;&amp;" in page
+
+
+def test_the_page_shows_the_run_s_pictures_with_their_captions(write, tmp_path):
+    assert "data:image/jpeg" not in write()
+    for name, caption in (("000001", "Scene 1 <b>"), ("000000", "Scene 0")):
+        write_case(tmp_path, name, np.zeros((4, 6, 3), np.uint8), caption)
+    assert re.findall(r"<figcaption>(.*?)</figcaption>", write()) == ["Scene 0", "Scene 1 &lt;b&gt;"]
+
+
+def test_the_scenes_that_tell_most_are_the_worst_and_some_of_the_best():
+    right = {0: [True, True], 1: [False, False], 2: [True, False], 3: [True, True], 4: [False, True]}
+    rows = [
+        row.model_copy(update={"success_sym": right[row.scene_id][row.object]})
+        for row in make_move_rows("a", 0.5)
+        if row.scene_id in right and row.object < 2
+    ]
+    assert telling_scenes(rows, 8, 2) == [1, 2, 4, 0, 3]
+    assert telling_scenes(rows, 3, 1) == [1, 2, 3]
 
 
 def test_the_headline_is_of_the_best_cell(write):
