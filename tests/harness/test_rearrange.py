@@ -82,7 +82,7 @@ def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
 
     # Both scenes are shown with every object named, and again the same.
     page = (runs[0] / "report.html").read_text()
-    assert page.count("data:image/jpeg") == 2 and "Scenes of &#39;small&#39;, before and after" in page
+    assert page.count("data:image/jpeg") == 2 and "Scenes of 'small', before and after" in page
     for scene_id in (0, 1):
         caption = (runs[0] / "pictures" / f"{scene_id:06d}.txt").read_text()
         assert caption in page and all(row.object_name in caption for row in rows if row.scene_id == scene_id)
