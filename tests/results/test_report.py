@@ -272,6 +272,7 @@ TABLE = FigureTable(
     (Column("cell"), Column("share", name="share, %"), Column("why", kind="words")),
     (
         Line(("a_1", Figure(90.0, (80.0, 95.5), ".0f", "%"), "x < 5°")),
+        Line(("a_1", Figure(-3.0, (-7.5, 1.0), "+.1f"), "3-2")),
         Line(("the paper", Figure(float("inf"))), is_paper=True),
     ),
 )
@@ -281,13 +282,15 @@ def test_a_table_is_the_same_in_every_form():
     assert list(csv.reader(TABLE.csv().splitlines())) == [
         ["cell", "share, %", "share, % low", "share, % high", "why"],
         ["a_1", "90.0", "80.0", "95.5", "x < 5°"],
+        ["a_1", "-3.0", "-7.5", "1.0", "3-2"],
         ["the paper", "inf", "", "", ""],
     ]
-    assert TABLE.markdown().splitlines()[-2:] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
+    assert TABLE.markdown().splitlines()[-3::2] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
     latex = TABLE.latex().splitlines()
     assert latex[2] == r"\begin{tabular}{lrl}" and r"\toprule" in latex
     assert r"a\_1 & 90\% {\scriptsize [80, 96]} & x $<$ 5$^\circ$ \\" in latex
     assert r"\textit{the paper} & \textit{$\infty$} &  \\" in latex
+    assert r"a\_1 & $-$3.0 {\scriptsize [$-$7.5, +1.0]} & 3-2 \\" in latex
 
 
 def test_every_table_and_plot_lies_beside_the_page_and_is_the_same_again(write, tmp_path):
