@@ -14,6 +14,7 @@ import pytest
 import yaml
 from made_rows import make_move_rows, make_rows
 from markupsafe import escape
+from matplotlib.figure import Figure as Drawing
 from rich.console import Console
 
 from toolkit.errors import ToolkitError
@@ -24,6 +25,7 @@ from toolkit.results.comparisons import compare_cells, comparison_table
 from toolkit.results.completion import telling_scenes
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
+from toolkit.results.report.plots import error_curves
 from toolkit.results.rows import read_rows, summarize, summary_lines, write_rows, write_summary
 from toolkit.results.stats import holm, mcnemar, newcombe_interval
 from toolkit.results.tables import motion_table
@@ -263,6 +265,29 @@ def test_confidence_is_shown_where_it_is_stated(tmp_path):
     assert "stated confidence" in write_report(tmp_path).read_text()
     write_rows(tmp_path / "rows.jsonl", make_rows("silent", 0.5))
     assert "stated confidence" not in write_report(tmp_path).read_text()
+
+
+def test_error_curves_never_turn_back_where_errors_lie_beyond_the_plot():
+    rows = [
+        row.model_copy(update={"translation_error_cm_sym": 80.0}) if row.success and row.scene_id % 2 else row
+        for row in make_rows("a", 0.8)
+    ]
+    figure = Drawing()
+    error_curves(rows, {"a": "#000000"}).draw(figure)
+    for axes in figure.axes:
+        x, y = axes.lines[0].get_data()
+        assert (np.diff(x) >= 0).all() and (np.diff(y) >= 0).all() and x[-1] >= axes.get_xlim()[1]
+    nothing = Drawing()
+    error_curves(make_rows("a", 0.0), {"a": "#000000"}).draw(nothing)
+    assert max(nothing.axes[0].lines[0].get_ydata()) == 0
+
+
+def test_lines_of_the_paper_are_spoken_of_where_there_are_some(tmp_path):
+    swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
+    rows = [row.model_copy(update={"settings": swept}) for row in make_rows("a", 0.9)]
+    for own, said in ((rows, True), (make_rows("a", 0.9), False)):
+        write_rows(tmp_path / "rows.jsonl", own)
+        assert ("Lines in italics" in write_report(tmp_path).read_text()) == said
 
 
 # Tables and plots to print
