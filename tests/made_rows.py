@@ -53,6 +53,7 @@ def make_move_rows(cell, share, **fields):
             scene_moves=3,
             time_ms={"perception": 1e3, "planning": 5.0},
             motion_s=20.0,
+            ended={number: np.eye(4).tolist() for number in range(3)},
             **fields,
         )
         for row in make_rows(cell, share)

@@ -149,7 +149,8 @@ def _type_name(kind: Any) -> str:
     if parts:
         return f"({', '.join(_type_name(part) for part in parts)})"
     names = {"Path": "file or folder", "str": "text", "int": "integer", "float": "number", "bool": "yes or no"}
-    return {**names, "StageChoice": "name, or name and settings"}.get(kind.__name__, kind.__name__)
+    model = "mapping" if issubclass(kind, BaseModel) else kind.__name__
+    return {**names, "StageChoice": "name, or name and settings"}.get(kind.__name__, model)
 
 
 def _default(info: FieldInfo) -> str:

@@ -83,7 +83,7 @@ def _stage(registry: Registry[Any]) -> str:
 def _weights_table(cards: Any) -> list[str]:
     return [
         "| weights | what they are | licence | MB |",
-        "| --- | --- | --- | --- |",
+        "| --- | --- | --- | ---: |",
         *(f"| `{c.name}`<br>{c.file} | {in_cell(c.architecture)} | {_licence(c)} | {c.size_mb:.1f} |" for c in cards),
     ]
 

@@ -135,11 +135,18 @@ def test_no_table_breaks_a_name(what):
     assert words >= set(names["weights" if what[0] == "weights" else what[-1]])
 
 
-@pytest.mark.parametrize("command", ["ablate", "rearrange", "estimate", "evaluate"])
+def test_the_list_of_weights_breaks_no_word():
+    shown = set(toolkit("weights", "list", COLUMNS="80").stdout.split())
+    assert {word for card in CARDS.values() for word in (card.architecture + " " + card.licence).split()} <= shown
+
+
+@pytest.mark.parametrize("command", ["ablate", "rearrange", "estimate", "evaluate", "plan", "serve"])
 def test_help_fits_a_screen(command):
     lines = toolkit(command, "--help", COLUMNS="80").stdout.rstrip().splitlines()
     assert len(lines) <= 50 and max(map(len, lines)) <= 80
     assert any("--goal-segmenter" in line for line in lines)
+    # Several values make several cells, which only these two run.
+    assert ("sweep" in " ".join(lines)) == ("swept" in " ".join(lines)) == (command in ("ablate", "rearrange"))
 
 
 def test_the_version_is_said_without_a_command():

@@ -80,6 +80,15 @@ def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
         assert row.right_after[-1] == row.success_sym and 1 <= row.rounds == len(row.right_after) <= 2
         assert row.motion_s > 0 and row.time_ms["perception"] > 0
 
+    # Both scenes are shown with every object named, and again the same.
+    page = (runs[0] / "report.html").read_text()
+    assert page.count("data:image/jpeg") == 2 and "Scenes of 'small', before and after" in page
+    for scene_id in (0, 1):
+        caption = (runs[0] / "pictures" / f"{scene_id:06d}.txt").read_text()
+        assert caption in page and all(row.object_name in caption for row in rows if row.scene_id == scene_id)
+        pictures = [(made / "pictures" / f"{scene_id:06d}.png").read_bytes() for made in runs]
+        assert pictures[0] == pictures[1]
+
     # What a killed run leaves is taken up again.
     killed = runs[0]
     (killed / "rows.jsonl").write_text("\n".join((killed / "rows.jsonl").read_text().splitlines()[:3]))

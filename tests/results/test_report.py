@@ -14,14 +14,18 @@ import pytest
 import yaml
 from made_rows import make_move_rows, make_rows
 from markupsafe import escape
+from matplotlib.figure import Figure as Drawing
 from rich.console import Console
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
+from toolkit.pictures.cases import write_case
 from toolkit.pictures.drawing import overlay
 from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.completion import telling_scenes
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
+from toolkit.results.report.plots import error_curves
 from toolkit.results.rows import read_rows, summarize, summary_lines, write_rows, write_summary
 from toolkit.results.stats import holm, mcnemar, newcombe_interval
 from toolkit.results.tables import motion_table
@@ -46,6 +50,24 @@ def test_the_report_needs_nothing_else(write):
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:|#)", page)
     assert "<script>" not in page and "&lt;script&gt;bad" in page
     assert "too few inliers &lt;b&gt;&amp;" in page
+
+
+def test_the_page_shows_the_run_s_pictures_with_their_captions(write, tmp_path):
+    assert "data:image/jpeg" not in write()
+    for name, caption in (("000001", "Scene 1 <b>"), ("000000", "Scene 0")):
+        write_case(tmp_path, name, np.zeros((4, 6, 3), np.uint8), caption)
+    assert re.findall(r"<figcaption>(.*?)</figcaption>", write()) == ["Scene 0", "Scene 1 &lt;b&gt;"]
+
+
+def test_the_scenes_that_tell_most_are_the_worst_and_some_of_the_best():
+    right = {0: [True, True], 1: [False, False], 2: [True, False], 3: [True, True], 4: [False, True]}
+    rows = [
+        row.model_copy(update={"success_sym": right[row.scene_id][row.object]})
+        for row in make_move_rows("a", 0.5)
+        if row.scene_id in right and row.object < 2
+    ]
+    assert telling_scenes(rows, 8, 2) == [1, 2, 4, 0, 3]
+    assert telling_scenes(rows, 3, 1) == [1, 2, 3]
 
 
 def test_the_headline_is_of_the_best_cell(write):
@@ -245,6 +267,29 @@ def test_confidence_is_shown_where_it_is_stated(tmp_path):
     assert "stated confidence" not in write_report(tmp_path).read_text()
 
 
+def test_error_curves_never_turn_back_where_errors_lie_beyond_the_plot():
+    rows = [
+        row.model_copy(update={"translation_error_cm_sym": 80.0}) if row.success and row.scene_id % 2 else row
+        for row in make_rows("a", 0.8)
+    ]
+    figure = Drawing()
+    error_curves(rows, {"a": "#000000"}).draw(figure)
+    for axes in figure.axes:
+        x, y = axes.lines[0].get_data()
+        assert (np.diff(x) >= 0).all() and (np.diff(y) >= 0).all() and x[-1] >= axes.get_xlim()[1]
+    nothing = Drawing()
+    error_curves(make_rows("a", 0.0), {"a": "#000000"}).draw(nothing)
+    assert max(nothing.axes[0].lines[0].get_ydata()) == 0
+
+
+def test_lines_of_the_paper_are_spoken_of_where_there_are_some(tmp_path):
+    swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
+    rows = [row.model_copy(update={"settings": swept}) for row in make_rows("a", 0.9)]
+    for own, said in ((rows, True), (make_rows("a", 0.9), False)):
+        write_rows(tmp_path / "rows.jsonl", own)
+        assert ("Lines in italics" in write_report(tmp_path).read_text()) == said
+
+
 # Tables and plots to print
 
 TABLE = FigureTable(
@@ -252,6 +297,7 @@ TABLE = FigureTable(
     (Column("cell"), Column("share", name="share, %"), Column("why", kind="words")),
     (
         Line(("a_1", Figure(90.0, (80.0, 95.5), ".0f", "%"), "x < 5°")),
+        Line(("a_1", Figure(-3.0, (-7.5, 1.0), "+.1f"), "3-2")),
         Line(("the paper", Figure(float("inf"))), is_paper=True),
     ),
 )
@@ -261,13 +307,15 @@ def test_a_table_is_the_same_in_every_form():
     assert list(csv.reader(TABLE.csv().splitlines())) == [
         ["cell", "share, %", "share, % low", "share, % high", "why"],
         ["a_1", "90.0", "80.0", "95.5", "x < 5°"],
+        ["a_1", "-3.0", "-7.5", "1.0", "3-2"],
         ["the paper", "inf", "", "", ""],
     ]
-    assert TABLE.markdown().splitlines()[-2:] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
+    assert TABLE.markdown().splitlines()[-3::2] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
     latex = TABLE.latex().splitlines()
     assert latex[2] == r"\begin{tabular}{lrl}" and r"\toprule" in latex
     assert r"a\_1 & 90\% {\scriptsize [80, 96]} & x $<$ 5$^\circ$ \\" in latex
     assert r"\textit{the paper} & \textit{$\infty$} &  \\" in latex
+    assert r"a\_1 & $-$3.0 {\scriptsize [$-$7.5, +1.0]} & 3-2 \\" in latex
 
 
 def test_every_table_and_plot_lies_beside_the_page_and_is_the_same_again(write, tmp_path):

@@ -22,7 +22,8 @@ from toolkit.cli.options import (
 from toolkit.slots import SLOTS
 
 MasksOption = Annotated[
-    Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder: no segmenter is asked.")
+    Path | None,
+    typer.Option(metavar="DIR", help="Your own masks, in current/ and goal/ of this folder: no segmenter is asked."),
 ]
 
 app = typer.Typer()
@@ -91,12 +92,16 @@ def plan(
     base: Annotated[
         str | None,
         typer.Option(
+            metavar="POSE",
             help="Where the robot stands in the capture's world: 'x y z qx qy qz qw', metres; "
-            "else the world is the robot's base frame."
+            "else the world is the robot's base frame.",
         ),
     ] = None,
     sure: Annotated[
-        float, typer.Option(min=0, max=1, help="Objects whose confidence is below this are left where they are.")
+        float,
+        typer.Option(
+            min=0, max=1, metavar="SHARE", help="Objects whose confidence is below this are left where they are."
+        ),
     ] = 0.5,
     film: Annotated[bool, typer.Option(help="Film the plan (plan.mp4, plan.rrd).")] = True,
     masks: MasksOption = None,
@@ -139,7 +144,9 @@ def _own_masks(masks: Path | None) -> dict[str, list[str]]:
 @capture_app.command("check")
 def check(
     capture: Annotated[Path, typer.Argument(help="A capture folder (BOP scene layout).")],
-    masks: Annotated[Path | None, typer.Option(help="Your own masks, in current/ and goal/ of this folder.")] = None,
+    masks: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Your own masks, in current/ and goal/ of this folder.")
+    ] = None,
     out: OutOption = None,
 ) -> None:
     """Say what is wrong with a capture: poses, units, axes, cam_K, depth, light, and whether the goal fits."""
@@ -167,17 +174,22 @@ def import_(
     kind: Annotated[str, typer.Argument(autocompletion=import_kinds, help="What SOURCE is: bop, tum, ros, ...")],
     source: Annotated[Path, typer.Argument(help="The recording of the current scene: a folder or a file.")],
     out: Annotated[Path, typer.Argument(help="The capture folder to write.")],
-    goal: Annotated[str, typer.Option(help="The goal image: its name or number in the recording, or a picture file.")],
+    goal: Annotated[
+        str,
+        typer.Option(metavar="IMAGE", help="The goal image: its name or number in the recording, or a picture file."),
+    ],
     goal_source: Annotated[
-        Path | None, typer.Option(help="Another recording in the same world, which holds the goal image.")
+        Path | None,
+        typer.Option(metavar="PATH", help="Another recording in the same world, which holds the goal image."),
     ] = None,
     goal_camera: Annotated[
-        str | None, typer.Option(help="For a picture file: the image that was taken from the same place.")
+        str | None,
+        typer.Option(metavar="IMAGE", help="For a picture file: the image that was taken from the same place."),
     ] = None,
     frames: Annotated[
-        str | None, typer.Option(help="Current frames: names, numbers and ranges, as 3,7 or 100:300.")
+        str | None, typer.Option(metavar="FRAMES", help="Current frames: names, numbers and ranges, as 3,7 or 100:300.")
     ] = None,
-    every: Annotated[int | None, typer.Option(min=1, help="Take every N-th of them.")] = None,
+    every: Annotated[int | None, typer.Option(min=1, metavar="N", help="Take every N-th of them.")] = None,
     settings: SettingsOption = [],  # noqa: B006
 ) -> None:
     """Make a capture of a recording; of its images, 8 are taken where neither --frames nor --every says which."""
@@ -198,10 +210,15 @@ def import_(
 def record(
     out: Annotated[Path, typer.Argument(help="The capture folder to write.")],
     hand_eye: Annotated[
-        str, typer.Option(help="The colour camera on the body whose poses are told: 'x y z qx qy qz qw', metres.")
+        str,
+        typer.Option(
+            metavar="POSE", help="The colour camera on the body whose poses are told: 'x y z qx qy qz qw', metres."
+        ),
     ],
-    size: Annotated[tuple[int, int], typer.Option(help="Width and height of colour and depth, pixels.")] = (640, 480),
-    rate: Annotated[int, typer.Option(min=1, help="Frames per second.")] = 30,
+    size: Annotated[
+        tuple[int, int], typer.Option(metavar="W H", help="Width and height of colour and depth, pixels.")
+    ] = (640, 480),
+    rate: Annotated[int, typer.Option(min=1, metavar="N", help="Frames per second.")] = 30,
 ) -> None:
     """Take a capture with a RealSense camera: a picture for every pose on standard input, `goal` before the goal's."""
     from toolkit.data.importing.recorder import record_capture

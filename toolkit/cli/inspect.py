@@ -38,7 +38,7 @@ def list_what(
     what: Annotated[
         str | None,
         typer.Argument(
-            metavar="[STAGE]", autocompletion=_listed, help="A stage, or 'experiments'; all stages when left out."
+            metavar="STAGE", autocompletion=_listed, help="A stage, or 'experiments'; all stages when left out."
         ),
     ] = None,
 ) -> None:
@@ -63,7 +63,7 @@ def show(
     ],
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[NAME]", autocompletion=implementation_names, help="An implementation, e.g. sift."),
+        typer.Argument(metavar="NAME", autocompletion=implementation_names, help="An implementation, e.g. sift."),
     ] = None,
 ) -> None:
     """Show one implementation, or a part of an experiment: what it does, and every setting with default and meaning."""

@@ -33,14 +33,22 @@ SettingsOption = Annotated[
     list[str], typer.Option("--set", metavar="PATH=VALUE", help="path.to.key=value of the settings.")
 ]
 
-_STAGES = "Stages, by name (toolkit list); one that is given twice is swept"
+_STAGES = "Stages, by name (toolkit list)"
 
 
-def with_experiment_options(command: Callable[..., None], slots: Iterable[str] = SLOTS) -> Callable[..., None]:
+def with_experiment_options(
+    command: Callable[..., None], slots: Iterable[str] = SLOTS, *, sweeps: bool = False
+) -> Callable[..., None]:
     """Add one option per slot, and --set, --plugin and --seed, to a command that takes an experiment.
 
     The command receives them as `choices`, which `read_experiment` understands.
+
+    Args:
+        command: which.
+        slots: the stages that it lets one choose.
+        sweeps: it runs all cells that several values make, as the help then says.
     """
+    panel = f"{_STAGES}; one that is given twice is swept" if sweeps else _STAGES
     added = [
         _option(
             slot,
@@ -51,17 +59,19 @@ def with_experiment_options(command: Callable[..., None], slots: Iterable[str] =
                     f"--{slot.replace('_', '-')}",
                     metavar="NAME",
                     autocompletion=implementations_of(slot),
-                    rich_help_panel=_STAGES,
+                    rich_help_panel=panel,
                 ),
             ],
         )
         for slot in slots
     ]
-    several = typer.Option(
-        "--set", metavar="PATH=V1,V2", help="A setting (toolkit show dataset); several values sweep."
+    setting = (
+        typer.Option("--set", metavar="PATH=V1,V2", help="A setting (toolkit show dataset); several values sweep.")
+        if sweeps
+        else typer.Option("--set", metavar="PATH=VALUE", help="A setting (toolkit show pipeline).")
     )
     added += [
-        _option("set", [], Annotated[list[str], several]),
+        _option("set", [], Annotated[list[str], setting]),
         _option("plugin", [], PluginOption),
         _option(
             "seed", None, Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of scenes and stages.")]

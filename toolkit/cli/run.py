@@ -23,7 +23,7 @@ app = typer.Typer()
 
 
 @app.command()
-@with_experiment_options
+@partial(with_experiment_options, sweeps=True)
 @with_run_options
 def ablate(
     experiment: Annotated[
@@ -50,7 +50,7 @@ def ablate(
 
 
 @app.command()
-@partial(with_experiment_options, slots=(*SLOTS, *REARRANGE_SLOTS))
+@partial(with_experiment_options, slots=(*SLOTS, *REARRANGE_SLOTS), sweeps=True)
 @with_run_options
 def rearrange(
     experiment: ExperimentArgument = "rearrange",

@@ -23,9 +23,11 @@ _STOPPING_S = 5
 @with_experiment_options
 def serve(
     experiment: ExperimentArgument = "estimate",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port on this machine.")] = 8000,
-    most_mib: Annotated[int, typer.Option(min=1, help="Size of the largest request, MiB.")] = 256,
-    waiting: Annotated[int, typer.Option(min=0, help="Requests that may wait while one is worked on.")] = 4,
+    port: Annotated[int, typer.Option(min=1, max=65535, metavar="N", help="Port on this machine.")] = 8000,
+    most_mib: Annotated[int, typer.Option(min=1, metavar="N", help="Size of the largest request, MiB.")] = 256,
+    waiting: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Requests that may wait while one is worked on.")
+    ] = 4,
     *,
     choices: dict[str, Any],
 ) -> None:

@@ -23,11 +23,14 @@ def train(
     train_objects: Annotated[
         Path | None,
         typer.Option(
-            help="A folder of scans to train on, a third of which is held out; procedural objects when left out."
+            metavar="DIR",
+            help="A folder of scans to train on, a third of which is held out; procedural objects when left out.",
         ),
     ] = None,
-    objects: Annotated[Path | None, typer.Option(help="A folder of scans to evaluate on; never trained on.")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores when left out.")] = None,
+    objects: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="A folder of scans to evaluate on; never trained on.")
+    ] = None,
+    threads: Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads; all cores when left out.")] = None,
     settings: SettingsOption = [],  # noqa: B006
 ) -> None:
     """Train a network the toolkit ships, on views it renders itself; writes curves, checkpoints and the weights."""

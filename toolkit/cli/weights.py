@@ -24,11 +24,14 @@ def weights_list() -> None:
     from toolkit.weights.resolve import find_weights
 
     users = _users()
-    table = listing("name", "for", "what it is", "licence", "MB", "here", typed=("name", "for", "MB", "here"))
+    table = listing("name", "for", "what it is, licence", "MB", "here", typed=("name", "for", "MB", "here"))
     for name, card in sorted(CARDS.items()):
-        licence = Text.assemble(card.licence, (" (non-commercial)" * card.non_commercial, "red"))
+        # One below the other: side by side, 80 columns would break their words.
+        what = Text.assemble(
+            card.architecture, "\n", (card.licence, "dim"), (" (non-commercial)" * card.non_commercial, "red")
+        )
         here = "yes" if find_weights(card) else "no"
-        table.add_row(name, users.get(name, ""), card.architecture, licence, f"{card.size_mb:.0f}", here)
+        table.add_row(name, users.get(name, ""), what, f"{card.size_mb:.0f}", here)
     say(table)
 
 

@@ -31,7 +31,9 @@ def describe(dataset: Path) -> Iterator[str]:
     if made.exists():
         recipe = json.loads(made.read_text())
         yield f"made by {recipe['generator']} {recipe['toolkit']}, rendered by {recipe['renderer']}"
-        yield "settings: " + ", ".join(f"{key}={value}" for key, value in recipe["config"].items())
+        # What is left to the track says nothing of its own.
+        told = {key: value for key, value in recipe["config"].items() if value is not None}
+        yield "settings: " + ", ".join(f"{key}={value}" for key, value in told.items())
     counts: Counter[int] = Counter()
     names: Counter[str] = Counter()
     only_current = only_goal = unknown = 0

@@ -17,7 +17,7 @@ from toolkit.harness.experiment import Cell
 from toolkit.harness.kinds import Job, RunKind, SceneTask, Work
 from toolkit.harness.worker import get_runner, make_runner, require_ready
 from toolkit.paths import cache_root
-from toolkit.pictures.poses import write_case
+from toolkit.pictures.poses import write_object
 from toolkit.results.about import About
 from toolkit.results.comparisons import Comparison, compare_cells, print_tables, remainder
 from toolkit.results.folder import ROWS
@@ -120,7 +120,7 @@ class Ablation(RunKind[Row, CaptureTask]):
                 scene = runner.pipeline.scene(runner.pipeline.build_database(capture.current))
                 estimates = scene.estimate(capture.goal)
                 for row in (row for row in worst if row.scene_id == scene_id):
-                    write_case(job.run / "pictures", capture, scene.database, estimates, row)
+                    write_object(job.run, capture, scene.database, estimates, row)
                     advance(1)
 
     def write_page(self, run: Path) -> Path:

@@ -14,7 +14,7 @@ from toolkit.harness.drive import kind_of
 from toolkit.harness.kinds import RunKind
 from toolkit.harness.runs import Shard, in_order, open_run, read_resolved, require_run, writable
 from toolkit.results.about import About
-from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
+from toolkit.results.folder import META, PICTURES, RESOLVED, ROWS, SUMMARY
 from toolkit.results.rows import read_rows_as, summary_lines, write_rows, write_summary
 
 _SAME = {"source": "code", "versions": "library versions", "weights": "weights"}
@@ -47,8 +47,8 @@ def merge_shards(runs: Sequence[Path], out: Path) -> Path:
         unique = [dataset for i, dataset in enumerate(made) if dataset not in made[:i]]
         write_json(out / META, {**metas[0], "datasets": unique, "shards": metas})
         for run in runs:
-            if (run / "pictures").is_dir():
-                shutil.copytree(run / "pictures", out / "pictures", dirs_exist_ok=True)
+            if (run / PICTURES).is_dir():
+                shutil.copytree(run / PICTURES, out / PICTURES, dirs_exist_ok=True)
         cells = [cell["cell"] for cell in settings[0]["cells"]]
         _write_rows(out, shards, cells, kind_of(out))
     return out

@@ -21,12 +21,19 @@ from toolkit.harness.kinds import Job, RunKind, SceneTask, Work
 from toolkit.harness.worker import get_runner, require_ready
 from toolkit.paths import cache_root
 from toolkit.pictures.film import Film, Filmable, record_poses
+from toolkit.pictures.rearranged import write_scene
 from toolkit.pictures.recording import has_rerun
 from toolkit.rearrangement.episode import Episode, begun, rearrange
 from toolkit.registry import Plugin
 from toolkit.results.about import About
 from toolkit.results.comparisons import Comparison, compare_cells, print_tables
-from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
+from toolkit.results.completion import (
+    CompletionSummary,
+    MoveRow,
+    most_complete,
+    summarize_completion,
+    telling_scenes,
+)
 from toolkit.results.folder import ROWS
 from toolkit.results.metrics import PoseError, assign_goal_objects, pose_error, symmetry_of
 from toolkit.results.rows import read_rows_as
@@ -34,6 +41,9 @@ from toolkit.results.tables import completion_table
 from toolkit.slots import REARRANGE_SLOTS
 from toolkit.stages import Executor
 from toolkit.types import Failure, Float, TrueObject
+
+SHOWN_SCENES, SHOWN_BEST = 8, 2
+"""Scenes shown as pictures in the report: the worst, and so many of the best."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +125,18 @@ class Rearrangement(RunKind[MoveRow, MoveTask]):
         table = completion_table(summarize_completion(rows))
         print_tables(table, compare_cells(rows, About.read(run).reference), console)
 
+    def illustrate(self, job: Job, rows: Sequence[MoveRow]) -> None:
+        """Pictures of scenes of the best cell, before and after: the worst, and some of the best."""
+        name = most_complete(summarize_completion(rows)).cell
+        best = next(cell for cell in job.cells if cell.name == name)
+        own = [row for row in rows if row.cell == name]
+        scenes = telling_scenes(own, SHOWN_SCENES, SHOWN_BEST)
+        with job.progress.step("Drawing scenes", len(scenes)) as advance:
+            for scene_id in scenes:
+                of_scene = [row for row in own if row.scene_id == scene_id]
+                write_scene(job.run, _draw(best, scene_id), of_scene, cache_root())
+                advance(1)
+
     def write_page(self, run: Path) -> Path:
         """As `RunKind.write_page`."""
         from toolkit.results.report import write_completion_report  # here, since it loads what draws
@@ -154,6 +176,7 @@ def _score(
     """One row per true object: its true final pose against its true goal."""
     estimates = episode.sight.estimates if episode.sight is not None else ()
     answers = assign_goal_objects([e.segment for e in estimates], episode.goal.true_masks or {})
+    ended = {number: np.asarray(pose).tolist() for number, pose in state.items()}
     rows: list[MoveRow] = []
     for number, truth in scene.truth.items():
         error = _error(state, truth)
@@ -181,6 +204,7 @@ def _score(
                 scene_moves=episode.moves.total(),
                 time_ms=episode.time_ms,
                 motion_s=episode.motion_s,
+                ended=ended,
                 weights=weights,
             )
         )
@@ -204,4 +228,4 @@ def _why(number: int, goal_object: int | None, episode: Episode, error: PoseErro
         return episode.failures[goal_object]
     if episode.moved_for.get(goal_object, number) not in (number, None):
         return Failure("retriever", "another object was taken for it")
-    return Failure("pose", "it was put more than 5 deg or 2 cm off")
+    return Failure("pose", "it was put down off its goal")

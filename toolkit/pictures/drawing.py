@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.types import Float, Frame, Image, Mask
 
@@ -85,7 +87,7 @@ def overlay(
     goal: Frame,
     outlines: Sequence[tuple[str, Float, Color]],
     masks: Sequence[tuple[str, Mask, Color]] = (),
-    places: Sequence[tuple[Mask, Color]] = (),
+    places: Sequence[tuple[str, Mask, Color]] = (),
 ) -> Image:
     """Draw outlines of moved point clouds and of masks on the goal image.
 
@@ -93,7 +95,7 @@ def overlay(
         goal: the goal image and its camera.
         outlines: label, (N, 3) world points already moved to the goal, and colour, one per object.
         masks: label, (H, W) bool, and colour, one per object without a motion; they are tinted.
-        places: (H, W) bool, and colour, of what is outlined without a label.
+        places: label, which may be empty, (H, W) bool, and colour, of what is outlined and not tinted.
 
     Returns:
         (H, W, 3) uint8.
@@ -102,7 +104,7 @@ def overlay(
     for _, mask, color in masks:
         picture[mask] = np.rint((1 - _TINT) * picture[mask] + _TINT * np.array(color)).astype(np.uint8)
     drawn = [
-        *(("", _contours(mask), color) for mask, color in places),
+        *((label, _contours(mask), color) for label, mask, color in places),
         *((label, _silhouette(goal, points), color) for label, points, color in outlines),
         *((label, _contours(mask), color) for label, mask, color in masks),
     ]
@@ -244,6 +246,13 @@ def zoomed(picture: Image, xy: Float) -> tuple[Image, Float]:
     return larger, (xy - (x, y) + 0.5) * (size / window) - 0.5
 
 
+def titled(picture: Image, title: str) -> Image:
+    """The picture with a title in its upper left corner."""
+    picture = picture.copy()
+    _write_label(picture, title, (0, 0), (255, 255, 255), _Lettering.of(picture))
+    return picture
+
+
 def scaled_to_height(picture: Image, height: int) -> Image:
     """An image of (height, W', 3) uint8 with the same content in the same proportions."""
     width = max(round(picture.shape[1] * height / picture.shape[0]), 1)
@@ -251,6 +260,19 @@ def scaled_to_height(picture: Image, height: int) -> Image:
     return np.asarray(
         cv2.resize(picture, (width, height), interpolation=cv2.INTER_CUBIC if finer else cv2.INTER_AREA), np.uint8
     )
+
+
+def write_png(path: Path, image: Image) -> None:
+    """Write (H, W, 3) RGB or (H, W) grey, uint8, as PNG.
+
+    Raises:
+        ToolkitError: it cannot be encoded.
+    """
+    encoded = image if image.ndim == 2 else image[..., ::-1]
+    ok, data = cv2.imencode(".png", encoded)
+    if not ok:
+        raise ToolkitError(f"picture '{path}' cannot be encoded")
+    path.write_bytes(data.tobytes())
 
 
 def _evenly(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from toolkit.data.clouds import write_cloud
-from toolkit.errors import ToolkitError
 from toolkit.files import write_json
 from toolkit.geometry import invert, project
 from toolkit.perception.database import Database
 from toolkit.perception.extents import measure_extent
 from toolkit.perception.fusion import Clouds
-from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend, zoomed
+from toolkit.pictures.cases import write_case
+from toolkit.pictures.drawing import Color, correspondences, overlay, with_legend, write_png, zoomed
 from toolkit.results.answer import SURE, in_words
 from toolkit.results.metrics import assign_goal_objects
 from toolkit.results.poses import POSES, SCHEMA, Found, GoalObject, Instance, Poses
@@ -63,7 +62,7 @@ def write_poses(
 
 def _write_object(out: Path, estimate: PoseEstimate) -> GoalObject:
     mask = f"{_MASKS}/{estimate.goal_object:06d}.png"
-    _write_png(out / mask, estimate.segment.mask.astype(np.uint8) * 255)
+    write_png(out / mask, estimate.segment.mask.astype(np.uint8) * 255)
     failure = estimate.failure
     return GoalObject(
         goal_object=estimate.goal_object,
@@ -128,11 +127,11 @@ def write_pictures(
     findings: Sequence[Finding] = (),
 ) -> None:
     """Write OUT/overlay.png, and OUT/matches_<object>.png for every object that has correspondences."""
-    _write_png(out / "overlay.png", overlay_picture(capture, database, estimates, findings))
+    write_png(out / "overlay.png", overlay_picture(capture, database, estimates, findings))
     for estimate in estimates:
         picture = matches_picture(capture, database, estimate)
         if picture is not None:
-            _write_png(out / f"matches_{estimate.goal_object:06d}.png", picture)
+            write_png(out / f"matches_{estimate.goal_object:06d}.png", picture)
 
 
 def overlay_picture(
@@ -211,34 +210,24 @@ def matches_picture(capture: Capture, database: Database, estimate: PoseEstimate
     return correspondences(goal, goal_xy, images, frame_of, xy, estimate.inliers)
 
 
-def write_case(folder: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
-    """Write one object of a scored capture as FOLDER/<scene>_<object>.png, with its caption as .txt beside it.
+def write_object(run: Path, capture: Capture, database: Database, estimates: Sequence[PoseEstimate], row: Row) -> None:
+    """Write one object of a scored capture as a picture of a run's report.
 
     The picture shows its true place, the place estimated, and the correspondences used.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     answers = assign_goal_objects([e.segment for e in estimates], capture.goal.true_masks or {})
     estimate = estimates[answers[row.object]] if row.object in answers else None
     shown = [] if estimate is None else [estimate]
     true_masks = capture.goal.true_masks or {}
-    places = [(true_masks[row.object], _PLAIN)] if row.object in true_masks else []
+    places = [("", true_masks[row.object], _PLAIN)] if row.object in true_masks else []
     picture = overlay(capture.goal, _outlines(database, shown), _masks(shown), places)
     picture = with_legend(picture, [("true place", _PLAIN), *LEGEND.items()])
     matches = None if estimate is None else matches_picture(capture, database, estimate)
     if matches is not None:
         picture = np.hstack([picture[: len(matches)], matches])
-    name = f"{row.scene_id:06d}_{row.object:06d}"
-    _write_png(folder / f"{name}.png", picture)
     if row.rotation_error_deg_sym is None:
-        outcome = f"{row.status}, {': '.join(filter(None, (row.stage, row.reason)))}"
+        outcome = f"{row.status}, {', '.join(filter(None, (row.stage, row.reason)))}"
     else:
         outcome = f"{row.rotation_error_deg_sym:.1f} deg, {row.translation_error_cm_sym:.1f} cm off"
-    (folder / f"{name}.txt").write_text(f"Scene {row.scene_id}, {row.object_name}: {outcome} ({row.cell})")
-
-
-def _write_png(path: Path, image: np.ndarray) -> None:
-    encoded = image if image.ndim == 2 else image[..., ::-1]
-    ok, data = cv2.imencode(".png", encoded)
-    if not ok:
-        raise ToolkitError(f"picture '{path}' cannot be encoded")
-    path.write_bytes(data.tobytes())
+    caption = f"Scene {row.scene_id}, {row.object_name}: {outcome} ({row.cell})"
+    write_case(run, f"{row.scene_id:06d}_{row.object:06d}", picture, caption)

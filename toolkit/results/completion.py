@@ -19,7 +19,8 @@ class MoveRow(ObjectRow):
 
     Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
     symmetry-aware. `stage` and `reason` say what kept it from its goal. `rounds`, `forced_buffers`, `scene_moves`,
-    `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
+    `time_ms`, `motion_s` and `ended` are of the whole scene, the same in all its rows; `ended` holds the true (4, 4)
+    model-to-world pose, in the end, of every instance on the table.
     """
 
     rotation_error_deg: float
@@ -38,6 +39,7 @@ class MoveRow(ObjectRow):
     scene_moves: int
     time_ms: dict[str, float]
     motion_s: float
+    ended: dict[int, list[list[float]]]
     weights: dict[str, str] = Field(default_factory=dict[str, str])
 
 
@@ -72,6 +74,20 @@ class CompletionSummary:
 def summarize_completion(rows: Sequence[MoveRow]) -> list[CompletionSummary]:
     """One summary per cell, in the order the cells first occur."""
     return [_summarize_cell(cell, of_cell) for cell, of_cell in by_cell(rows).items()]
+
+
+def most_complete(summaries: Sequence[CompletionSummary]) -> CompletionSummary:
+    """The cell with the largest share of scenes set right, the first of equals."""
+    return max(summaries, key=lambda summary: summary.completion_sym.value)
+
+
+def telling_scenes(rows: Sequence[MoveRow], count: int, best: int) -> list[int]:
+    """Up to `count` scenes of one cell to look at: those with most objects wrong, and the `best` with fewest."""
+    wrong: dict[int, int] = {}
+    for row in rows:
+        wrong[row.scene_id] = wrong.get(row.scene_id, 0) + (not row.success_sym)
+    ranked = sorted(wrong, key=lambda scene: (-wrong[scene], scene))
+    return ranked if len(ranked) <= count else [*ranked[: count - best], *ranked[-best:]]
 
 
 def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:

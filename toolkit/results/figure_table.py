@@ -156,7 +156,8 @@ class FigureTable:
             body.append(" & ".join(shown) + r" \\")
         rows = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule", *body]
         ends = [r"\bottomrule", r"\end{tabular}"]
-        return "\n".join([f"% {self.title}", r"% \usepackage{booktabs}", *rows, *ends]) + "\n"
+        needed = r"% \usepackage{booktabs}; where it is too wide, graphicx and \resizebox{\linewidth}{!}{\input{FILE}}"
+        return "\n".join([f"% {self.title}", needed, *rows, *ends]) + "\n"
 
     def _latex_column(self, i: int) -> str:
         if i and self.columns[i].kind == "number":
@@ -177,5 +178,10 @@ def _numbers(cell: str | Figure, spread: bool) -> Sequence[object]:
 def _in_latex(cell: str | Figure) -> str:
     if isinstance(cell, str):
         return cell.translate(_LATEX)
-    small = rf" {{\scriptsize [{cell.bounds.translate(_LATEX)}]}}" if cell.bounds else ""
-    return cell.text.translate(_LATEX) + small
+    small = rf" {{\scriptsize [{_number_in_latex(cell.bounds)}]}}" if cell.bounds else ""
+    return _number_in_latex(cell.text) + small
+
+
+def _number_in_latex(text: str) -> str:
+    """A hyphen before a number is a minus."""
+    return text.translate(_LATEX).replace("-", "$-$")

@@ -15,3 +15,6 @@ TABLES = "tables"
 
 FIGURES = "figures"
 """Every plot of the page, as SVG and PDF for print."""
+
+PICTURES = "pictures"
+"""The page's pictures as PNG, each with its caption as a text of the same name."""

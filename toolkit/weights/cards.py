@@ -220,7 +220,7 @@ CARDS: dict[str, WeightCard] = {
         WeightCard(
             name="grounding-dino-tiny",
             file="grounding-dino-tiny/model.safetensors",
-            architecture="transformers.GroundingDinoForObjectDetection, Swin-T",
+            architecture="Grounding DINO with Swin-T, as in transformers",
             licence="Apache-2.0",
             size_mb=689,
             sources=("hf://IDEA-Research/grounding-dino-tiny/model.safetensors",),
@@ -230,7 +230,7 @@ CARDS: dict[str, WeightCard] = {
         WeightCard(
             name="sam-vit-base",
             file="sam-vit-base/model.safetensors",
-            architecture="transformers.SamModel, ViT-B",
+            architecture="SAM with ViT-B, as in transformers",
             licence="Apache-2.0",
             size_mb=375,
             sources=("hf://facebook/sam-vit-base/model.safetensors",),

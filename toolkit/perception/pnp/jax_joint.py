@@ -36,7 +36,7 @@ class JointConfig(PnPConfig):
 
 
 class JaxJoint(RobustPnP[JointConfig]):
-    """Weighted M-estimation over all candidates' matches by Levenberg-Marquardt, with covariance (`solving.joint`).
+    """Weighted M-estimation over all candidates' matches by Levenberg-Marquardt, with covariance.
 
     Matches count by their score. Under the planar prior two of them make a hypothesis; without it the search is that of
     `jax_ransac`. In float64 on the CPU, as there.

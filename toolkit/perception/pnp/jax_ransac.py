@@ -20,7 +20,7 @@ are fewer, so that the search, the long compilation, has one shape. The polish u
 
 
 class JaxRansac(RobustPnP):
-    """Batched P3P, vmapped MSAC scores, local optimisation and Levenberg-Marquardt on SE(3) (`solving.consensus`).
+    """Batched P3P, vmapped MSAC scores, local optimisation and Levenberg-Marquardt on SE(3).
 
     In float64, which reaches 1e-13 deg on exact data where float32 stops at 1e-5, and costs no more time on a CPU. The
     switch holds for the call and the thread only, so other users of JAX keep their precision. On the CPU, so that a

@@ -26,7 +26,7 @@ class GicpConfig(StatedConfig):
 
 
 class Gicp(Plugin[GicpConfig], Registration):
-    """Generalized ICP between every two frames, then all poses together (`surfaces.align`); needs no texture.
+    """Generalized ICP between every two frames, then all poses together; needs no texture.
 
     ICP takes depth on both sides, and the goal is one RGB image. IFOR, whose goal has depth, ends in ICP between goal
     and current scene; here ICP can only bring the current frames together, and the goal's pose stays as stated.

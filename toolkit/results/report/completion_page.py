@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toolkit.results.completion import CompletionSummary, MoveRow, summarize_completion
+from toolkit.results.completion import CompletionSummary, MoveRow, most_complete, summarize_completion
 from toolkit.results.report.page import rows_to_report, write_page
 from toolkit.results.tables import completion_table, moves_table
 
@@ -17,7 +17,7 @@ def write_completion_report(run: Path) -> Path:
     """
     rows = rows_to_report(run, MoveRow)
     summaries = summarize_completion(rows)
-    best = max(summaries, key=lambda summary: summary.completion_sym.value)
+    best = most_complete(summaries)
     tables = {"results": completion_table(summaries), "moves": moves_table(summaries)}
     return write_page(run, "completion_page.html.j2", rows, best.cell, tables, headline=_headline(best))
 

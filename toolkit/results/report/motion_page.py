@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
-from toolkit.results.about import read_if_there
 from toolkit.results.comparisons import remainder
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report.page import rows_to_report, write_page
 from toolkit.results.report.plots import cell_colors, confidence_curves, error_curves, time_by_stage
 from toolkit.results.rows import CellSummary, Row, summarize
 from toolkit.results.tables import motion_table, plain_motion_table
-
-_JPEG_QUALITY = 82
-
-
-@dataclass(frozen=True)
-class _Case:
-    picture: str
-    caption: str
 
 
 def write_report(run: Path) -> Path:
@@ -51,7 +38,6 @@ def write_report(run: Path) -> Path:
         headline=_headline(summaries, best),
         one_sided=any(summary.absent for summary in summaries),
         attribution=remainder(summaries),
-        cases=_cases(run),
     )
 
 
@@ -80,13 +66,3 @@ def _ambiguity_table(rows: Sequence[Row]) -> FigureTable:
     columns = ("objects", "right", "one of the set right")
     named = (Column("cell"), Column("ambiguity", kind="words"), *map(Column, columns))
     return FigureTable("What the goal image does not tell", named, tuple(lines))
-
-
-def _cases(run: Path) -> list[_Case]:
-    cases: list[_Case] = []
-    for path in sorted((run / "pictures").glob("*.png")):
-        image = cv2.imread(str(path))
-        if image is not None:
-            data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-            cases.append(_Case(base64.b64encode(data.tobytes()).decode(), read_if_there(path.with_suffix(".txt"))))
-    return cases

@@ -18,6 +18,7 @@ from toolkit.results.about import About
 from toolkit.results.comparisons import compare_cells, comparison_table
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.folder import FIGURES, PAGE, ROWS, TABLE, TABLES
+from toolkit.results.report.cases import read_cases
 from toolkit.results.report.plots import Plot, cell_colors, success_by
 from toolkit.results.rows import Judged, JudgedT, RowT, by_cell, read_rows_as
 
@@ -51,6 +52,8 @@ def write_page(
 ) -> Path:
     """Write run/report.html, self-contained; beside it every table as CSV and LaTeX and every plot as SVG and PDF.
 
+    The page shows the pictures that lie in the run's folder.
+
     Args:
         run: the run's folder; its settings and meta.json stand at the end of the page.
         template: name of one that extends page.html.j2.
@@ -77,7 +80,12 @@ def write_page(
         success_by("symmetry", rows, colors, lambda row: row.symmetry, "symmetry of the object"),
     ]
     page = _template(template, colors).render(
-        about=about, best=best, tables=tables, plots={plot.name: Markup(plot.svg()) for plot in plots}, **own
+        about=about,
+        best=best,
+        tables=tables,
+        plots={plot.name: Markup(plot.svg()) for plot in plots},
+        cases=read_cases(run),
+        **own,
     )
     write_text(run / PAGE, page)
     write_text(run / TABLE, "\n".join(tables[name].markdown() for name in _IN_SUMMARY if tables[name].lines))

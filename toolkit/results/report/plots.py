@@ -114,7 +114,8 @@ def error_curves(rows: Sequence[Row], colors: dict[str, str]) -> Plot:
                 share = np.arange(1, len(values) + 1) / len(values)
                 seen = np.isfinite(values)
                 last = share[seen][-1] if seen.any() else 0.0
-                x = np.concatenate([[low], values[seen].clip(low), [high]])
+                # A curve goes on to the edge of the plot, which errors may lie beyond.
+                x = np.concatenate([[low], values[seen].clip(low), [max([high, *values[seen]])]])
                 axes.step(x, np.concatenate([[0], share[seen], [last]]), color=color, where="post", lw=2, label=cell)
             axes.axvline(threshold, color=matplotlib.rcParams["text.color"], lw=1, ls=":")
             axes.set(xscale="log", xlim=(low, high), ylim=(0, 1.02), xlabel=f"{label}\n{seen_in_each}")
