@@ -35,6 +35,9 @@ class RoomConfig(PluginConfig):
     """What every grasper that checks for room is told."""
 
     spare_m: float = Field(0.005, ge=0, description="Room on each side of the object when the open gripper comes.")
+    least_spare_m: float = Field(
+        0.002, ge=0, description="The same where the object fills the gripper; one that leaves less does not fit."
+    )
     depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
     tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
     table_z_m: float = Field(0.0, description="Height of the table.")
@@ -43,7 +46,11 @@ class RoomConfig(PluginConfig):
 
     def widest_m(self, gripper: Gripper) -> float:
         """Longest distance of two contacts, metres."""
-        return gripper.stroke_m - 2 * self.spare_m
+        return gripper.stroke_m - 2 * min(self.spare_m, self.least_spare_m)
+
+    def spare(self, width: float, gripper: Gripper) -> float:
+        """Room on each side, metres, that a gripper opens to around contacts `width` metres apart."""
+        return min(self.spare_m, (gripper.stroke_m - width) / 2)
 
 
 NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's other parts or another object")
@@ -71,16 +78,19 @@ def balance(a: Float, b: Float, center: Float) -> float:
     return float(np.exp(-lever / _LEVER_M))
 
 
-def grasps_on(a: Float, b: Float, approach: Float, score: float, config: RoomConfig) -> Iterator[Grasp]:
-    """Grasps on two contacts that come along `approach`, as nearly as the closing direction lets them."""
+def grasps_on(
+    a: Float, b: Float, approach: Float, score: float, gripper: Gripper, config: RoomConfig
+) -> Iterator[Grasp]:
+    """Grasps on two contacts, no further apart than `widest_m`, along `approach` as nearly as they let the hand come."""
     x = closing_direction(a, b)
     z = approach - (approach @ x) * x
     z /= np.linalg.norm(z)
     R = np.stack([x, np.cross(z, x), z], axis=1)
-    opening = float(np.linalg.norm(b - a)) + 2 * config.spare_m
+    width = float(np.linalg.norm(b - a))
+    spare = config.spare(width, gripper)
     # Flat objects leave no room below: their contacts are taken with the very tips.
     for depth, worth in ((config.depth_m, 1.0), (0.3 * config.depth_m, 0.5)):
-        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, config.spare_m, worth * score)
+        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), width + 2 * spare, spare, worth * score)
 
 
 def first_with_room(candidates: Iterable[Grasp], request: GraspRequest, config: RoomConfig) -> list[Grasp]:
