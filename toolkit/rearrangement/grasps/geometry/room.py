@@ -81,7 +81,7 @@ def balance(a: Float, b: Float, center: Float) -> float:
 def grasps_on(
     a: Float, b: Float, approach: Float, score: float, gripper: Gripper, config: RoomConfig
 ) -> Iterator[Grasp]:
-    """Grasps on two contacts within `widest_m` that come along `approach`, as nearly as the closing direction lets them."""
+    """Grasps on two contacts within `widest_m`, along `approach` as nearly as the closing direction lets them."""
     x = closing_direction(a, b)
     z = approach - (approach @ x) * x
     z /= np.linalg.norm(z)
