@@ -18,6 +18,7 @@ _TABLE_MARGIN_M = 0.001
 
 _TABLE = Shape((np.array(list(product((-2.0, 2.0), (-2.0, 2.0), (-0.5, _TABLE_MARGIN_M)))),))
 
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _FINE_M, _COARSE_M = 0.002, 0.004
 """Sides of the cubes of what is taken and carried, and of all that the arm passes by."""
 
@@ -125,6 +126,13 @@ class Clearance:
     def room(self, T: Float) -> bool:
         """Say whether the object would touch no other, a (4, 4) motion away from where it was seen."""
         return self._others is None or not any_inside(self._others, transform_points(T, self.points))
+
+    def fits(self, T: Float) -> bool:
+        """Say whether the object, as large as it is carried, would touch no other a (4, 4) motion away."""
+        if self._load is None or self._others is None:
+            return True
+        corners = self._load.centers[:, None] + self._load.side / 2 * _CORNERS
+        return not any_inside(self._others, transform_points(T, corners.reshape(-1, 3)))
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""

@@ -21,6 +21,9 @@ _FEWEST_POINTS = 10
 _STRAY_POINTS = 3
 """Points that may lie inside a finger: noise, and the contact itself."""
 
+_SOME = 10
+"""Most grasps without room show that on every tenth point."""
+
 _LEVEL = np.sin(np.radians(10))
 """A closing direction this near to level is made level: that is where a finger finds room above the table."""
 
@@ -39,10 +42,10 @@ class RoomConfig(PluginConfig):
         0.002, ge=0, description="The same where the object fills the gripper; one that leaves less does not fit."
     )
     depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
-    tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
+    tries: int = Field(4000, ge=1, description="Grasps checked for room at most, best first.")
     table_z_m: float = Field(0.0, description="Height of the table.")
     table_gap_m: float = Field(0.003, ge=0, description="Least height of the gripper above it.")
-    keep: int = Field(20, ge=1, description="Grasps returned at most.")
+    keep: int = Field(40, ge=1, description="Grasps returned at most.")
 
     def widest_m(self, gripper: Gripper) -> float:
         """Longest distance of two contacts, metres."""
@@ -98,13 +101,14 @@ def first_with_room(candidates: Iterable[Grasp], request: GraspRequest, config: 
 
     `request` is evenly seen.
     """
+    some = replace(request, points=request.points[::_SOME], others=request.others[::_SOME])
     found: list[Grasp] = []
     tried = 0
     for candidate in sorted(candidates, key=lambda grasp: -grasp.score):
         if any(_alike(candidate, other) for other in found):
             continue
         tried += 1
-        if _has_room(candidate, request, config):
+        if _has_room(candidate, some, config) and _has_room(candidate, request, config):
             found.append(candidate)
         if len(found) == config.keep or tried == config.tries:
             break
