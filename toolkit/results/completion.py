@@ -18,8 +18,9 @@ class MoveRow(ObjectRow):
     """Where one true object ended, in one cell.
 
     Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
-    symmetry-aware. `stage` and `reason` say what kept it from its goal. `rounds`, `forced_buffers`, `scene_moves`,
-    `time_ms` and `motion_s` are of the whole scene, the same in all its rows.
+    symmetry-aware. `stage` and `reason` say what kept it from its goal. `touching_moves` are those of its moves with a
+    contact that was not meant. `rounds`, `forced_buffers`, `scene_moves`, `time_ms` and `motion_s` are of the whole
+    scene, the same in all its rows.
     """
 
     rotation_error_deg: float
@@ -33,6 +34,7 @@ class MoveRow(ObjectRow):
     reason: str | None = None
     moves: int
     buffer_moves: int
+    touching_moves: int = 0
     rounds: int
     forced_buffers: int
     scene_moves: int
@@ -62,6 +64,7 @@ class CompletionSummary:
     moves_per_object: Estimate
     moves_per_object_unforced: Estimate | None
     buffer_moves_per_scene: float
+    touching_moves: int
     forced_buffers_per_scene: float
     rounds: float
     perception_s: float
@@ -93,6 +96,7 @@ def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
         moves_per_object=_moves_per_object(scenes),
         moves_per_object_unforced=_moves_per_object(unforced) if unforced else None,
         buffer_moves_per_scene=float(np.mean([sum(row.buffer_moves for row in own) for own in scenes.values()])),
+        touching_moves=sum(row.touching_moves for row in rows),
         forced_buffers_per_scene=float(np.mean([first.forced_buffers for first in firsts])),
         rounds=float(np.mean([first.rounds for first in firsts])),
         perception_s=float(np.median([first.time_ms["perception"] for first in firsts])) / 1e3,
