@@ -34,8 +34,8 @@ class Clearance:
     """An arm, the table, the points of one object and those of all others.
 
     The others are full down to the table, and everything the arm passes by is `margin` larger than it was seen. What is
-    to be taken is exactly as large as it was seen, and where it is there is nothing else. What is carried is that and
-    its underside, which no camera sees: it reaches up to 2 cm further down, where it stood no further than the table.
+    to be taken, or is carried, is exactly as large as it was seen, and where it is there is nothing else. Its
+    underside, which no camera sees, lies up to 2 cm below what was seen of it, and no lower than the table.
 
     Args:
         robot: whose description is read; it is not moved.
@@ -56,7 +56,6 @@ class Clearance:
         self.points: Float = np.zeros((0, 3))
         """(N, 3) of the object, where it was seen."""
         self._load: Cubes | None = None
-        self._carried: Cubes | None = None
         self._passed: Cubes | None = None
         self._others: Cubes | None = None
         self.arrange(robot.model.drive[0])
@@ -69,11 +68,10 @@ class Clearance:
         self.points = points
         self._others = standing(around(others, _COARSE_M, self._margin)) if len(others) else None
         if not len(points):
-            self._load = self._carried = self._passed = None
+            self._load = self._passed = None
         else:
-            self._load = around(points, _FINE_M)
-            self._carried = deepened(self._load, _UNDERSIDE_M)
-            whole = np.concatenate([points, self._carried.centers])
+            self._load = deepened(around(points, _FINE_M), _UNDERSIDE_M)
+            whole = np.concatenate([points, self._load.centers])
             self._passed = around(whole, _COARSE_M, self._margin)
             if self._others is not None:
                 self._others = without(self._others, around(whole, _COARSE_M, _APART_M))
@@ -95,8 +93,8 @@ class Clearance:
             in_hand: takes points of the world, where they were seen, into the hand's frame.
             over_table: it must not touch the table. Where it was seen to stand, and where it is to stand, has errors.
         """
-        assert self._carried is not None
-        self._set(Solid(_LOAD, self._carried, in_hand, self.robot.model.hand), touching=True, over_table=over_table)
+        assert self._load is not None
+        self._set(Solid(_LOAD, self._load, in_hand, self.robot.model.hand), touching=True, over_table=over_table)
 
     def put(self, T: Float, drive: float, *, held: bool) -> None:
         """Leave the object a (4, 4) motion away from where it was seen, between fingers at a drive value for now.
@@ -137,9 +135,9 @@ class Clearance:
 
     def fits(self, T: Float) -> bool:
         """Say whether the object, as large as it is carried, would touch no other a (4, 4) motion away."""
-        if self._carried is None or self._others is None:
+        if self._load is None or self._others is None:
             return True
-        corners = self._carried.centers[:, None] + self._carried.side / 2 * _CORNERS
+        corners = self._load.centers[:, None] + self._load.side / 2 * _CORNERS
         return not any_inside(self._others, transform_points(T, corners.reshape(-1, 3)))
 
     def free(self, q: Float) -> bool:

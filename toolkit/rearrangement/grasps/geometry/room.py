@@ -18,8 +18,8 @@ from toolkit.types import Failure, Float, Gripper
 _SPACING_M = 0.003
 _OTHERS_SPACING_M = 0.005
 _FEWEST_POINTS = 10
-_STRAY_POINTS = 3
-"""Points that may lie inside a finger: noise, and the contact itself."""
+_STRAY_POINTS = 1
+"""Points of the object that may lie inside a finger: noise. A finger that cuts off a corner meets two or more."""
 
 _SOME = 10
 """Most grasps without room show that on every tenth point."""
