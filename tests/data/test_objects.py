@@ -9,6 +9,7 @@ from collections import Counter
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from toolkit.data.layout import resting_poses
 from toolkit.data.objects import load_object_set
@@ -116,3 +117,15 @@ def test_bad_object_sets_are_answered_in_one_sentence(scans, tmp_path, case):
     with pytest.raises(ToolkitError, match=said) as error:
         load_object_set(str(scans), tmp_path / "cache")
     assert "\n" not in str(error.value)
+
+
+def test_surfaces_face_outwards(procedural):
+    """A renderer leaves out what faces away: of a part that is inside out, it shows the inside of the far wall."""
+    for asset in procedural.assets:
+        mesh = trimesh.load(asset.mesh, force="mesh")
+        places, where = np.unique(np.round(mesh.vertices, 6), axis=0, return_inverse=True)
+        whole = trimesh.Trimesh(places, where.reshape(-1)[mesh.faces])  # the texture's seams closed
+        whole.update_faces(whole.nondegenerate_faces())
+        for part in whole.split(only_watertight=False):
+            part.apply_translation(-part.vertices.mean(axis=0))  # some are open at their ends
+            assert part.volume > 0, asset.name

@@ -104,9 +104,26 @@ def test_a_bowl_is_held_by_its_rim(antipodal):
         assert 0.06 < np.hypot(*grasp.T_world_gripper[:2, 3]) < 0.09
 
 
+def test_a_bottle_is_taken_from_the_side(antipodal):
+    """From above, its neck is in the way of all grasps on its body; and its body is most of it."""
+    body, neck = trimesh.creation.cylinder(0.035, 0.15), trimesh.creation.cylinder(0.013, 0.05)
+    neck.apply_translation([0, 0, 0.1])
+    found = find(antipodal, surface(trimesh.util.concatenate([body, neck])))
+    assert len(found) == antipodal.config.keep
+    for grasp in found:
+        assert grasp.T_world_gripper[2, 2] > -0.5 and grasp.closed == pytest.approx(0.07, abs=0.005)
+
+
 def test_what_is_too_wide_says_so(antipodal):
     found = find(antipodal, box(0.2, 0.2, 0.2))
-    assert found == Failure("grasp", "no two opposite surfaces lie within 7.5 cm of each other")
+    assert found == Failure("grasp", "no two opposite surfaces lie within 8.1 cm of each other")
+
+
+@pytest.mark.parametrize(("side", "spare"), [(0.07, 0.005), (0.08, 0.0025)])
+def test_a_box_that_nearly_fills_the_gripper_is_taken_with_the_room_that_is_left(antipodal, side, spare):
+    for grasp in find(antipodal, box(side, 0.15, 0.1)):
+        assert grasp.spare == pytest.approx(spare, abs=5e-4) and grasp.closed == pytest.approx(side, abs=2e-3)
+        assert grasp.opening <= GRIPPER.stroke_m
 
 
 def test_neighbours_leave_only_the_grasps_that_miss_them(grasper):

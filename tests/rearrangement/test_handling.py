@@ -128,6 +128,18 @@ def test_a_bar_is_not_turned_against_its_neighbour():
     assert isinstance(ways[0.035], Failure) and "no straight way leads to any grasp" in ways[0.035].reason
 
 
+def test_a_place_that_is_taken_is_found_out_before_grasps_are_tried(monkeypatch):
+    with closing(Client()) as client:
+        clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
+    timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
+    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+    clearance.see(bar(0.0), bar(0.0) + np.array([0.1, 0, 0]))
+    monkeypatch.setattr(Reach, "_lines", lambda *_: 1 / 0)
+    there = make_transform(np.eye(3), np.array([0.11, 0, 0]))
+    answer = reach.plan(np.array(PANDA.home), [grasp(0.0)], there)
+    assert answer == Failure("executor", "another object is in the way where it is to be put")
+
+
 CAMERA_K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
 
 

@@ -34,6 +34,19 @@ def test_what_is_free_is_gone_straight(planner):
     assert len(path) == 2
 
 
+@pytest.mark.parametrize("start", np.linspace(-0.5, -0.46, 6))
+def test_thin_things_are_not_stepped_over(planner, start):
+    """What is as thick as a seen point with its margin, 8 mm, and an arm's link of 2 cm: one way of 28 mm to touch."""
+    half = 0.014
+    thin = shifted(GAP.world, shape=Shape((GAP.world.solids[0].shape.pieces[0] * [0.04, 1, 1],)))
+    problem = replace(
+        GAP, start=np.array([start, -0.5, 0.0]), free=lambda q: bool(abs(q[0]) > half or q[1] > 0.81), world=thin
+    )
+    path = planner.plan(problem, seed=0)
+    crossing = densify(path, 0.001)
+    assert crossing[np.abs(crossing[:, 0]) < half - 0.005, 1].min() > 0.8
+
+
 def test_the_same_seed_gives_the_same_path(planner):
     first, second, other = (planner.plan(GAP, seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first, second)

@@ -13,9 +13,10 @@ from hypothesis.extra.numpy import arrays
 from toolkit.geometry import make_transform
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
-from toolkit.sim.cubes import any_inside, around, standing, without
+from toolkit.sim.cubes import any_inside, around, deepened, standing, without
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
+from toolkit.types import Cubes
 
 POINTS = arrays(np.float64, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-0.5, 0.5, width=32))
 HOME = np.array(ROBOTS["panda"].home)
@@ -100,6 +101,25 @@ def test_what_is_carried_goes_along_and_hits_what_stands_around(clearance):
     assert not clearance.free(HOME) and not clearance.room(aside)
     clearance.arrange(clearance.robot.model.drive[0])
     assert clearance.free(HOME)
+
+
+def test_what_is_carried_has_an_underside(clearance):
+    """What it was seen to stand on, 1 cm below its lowest point, is part of it; a post 4 cm below is not."""
+    block = below(clearance, 0.12)
+    for depth, free in ((0.01, False), (0.04, True)):
+        x, y, _ = block.mean(axis=0)
+        clearance.see(block, np.array([[x + 0.03, y, block[:, 2].min() - depth]]))
+        beside = make_transform(np.eye(3), np.array([0.03, 0, 0]))
+        clearance.carry(clearance.in_hand(HOME) @ beside)
+        assert clearance.free(HOME) == free
+        assert clearance.fits(beside) == free
+
+
+def test_an_underside_ends_at_the_table():
+    cubes = Cubes(np.array([[0, 0, 3], [0, 0, 7], [1, 0, 30]]), 0.002)
+    found = {tuple(cell) for cell in deepened(cubes, 0.01).cells.tolist()}
+    lower = {(0, 0, z) for z in range(3)} | {(1, 0, z) for z in range(25, 30)}
+    assert found == {(0, 0, 3), (0, 0, 7), (1, 0, 30)} | lower
 
 
 def test_room_is_where_nothing_else_was_seen(clearance):

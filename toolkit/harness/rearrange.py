@@ -199,6 +199,7 @@ def _score(
                 reason=failure.reason if failure else None,
                 moves=episode.moves[number],
                 buffer_moves=episode.buffer_moves[number],
+                touching_moves=episode.touching_moves[number],
                 rounds=episode.rounds,
                 forced_buffers=episode.forced_buffers,
                 scene_moves=episode.moves.total(),

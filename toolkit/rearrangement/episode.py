@@ -47,6 +47,7 @@ class Episode:
         states: true (4, 4) poses by instance id after each of these, where the executor knows them.
         moves: by true instance id, how often an object was picked; id -1 where the executor does not know.
         buffer_moves: of these, to a free place.
+        touching_moves: of these, with a contact that was not meant to be.
         moved_for: by goal object, the true instance id of what was last brought to its goal.
         forced_buffers: moves to a free place that the first look's goals need at least.
         time_ms: milliseconds of perception and planning, on this machine.
@@ -61,6 +62,7 @@ class Episode:
     states: list[Mapping[int, Float]] = field(default_factory=list[Mapping[int, Float]])
     moves: Counter[int] = field(default_factory=Counter[int])
     buffer_moves: Counter[int] = field(default_factory=Counter[int])
+    touching_moves: Counter[int] = field(default_factory=Counter[int])
     moved_for: dict[int, int | None] = field(default_factory=dict[int, int | None])
     forced_buffers: int = 0
     time_ms: dict[str, float] = field(default_factory=lambda: {"perception": 0.0, "planning": 0.0})
@@ -179,6 +181,7 @@ def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None
     true_id = -1 if outcome.object is None else outcome.object
     episode.moves[true_id] += 1
     episode.buffer_moves[true_id] += move.to == "buffer"
+    episode.touching_moves[true_id] += outcome.touched
     episode.motion_s += outcome.seconds
     goal_object = sight.goal_objects.get(move.object)
     if goal_object is None:

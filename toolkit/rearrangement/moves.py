@@ -221,12 +221,14 @@ class Outcome:
         T_moved: (4, 4) motion that the object has really had, by what the executor measured, whether or not that is
             what it was asked for; None where it was not measured: then it is what was asked for, and none where that
             failed.
+        touched: robot or object touched something that the move was not meant to touch.
     """
 
     failure: Failure | None
     object: int | None = None
     seconds: float = 0.0
     T_moved: Float | None = field(default=None, compare=False)
+    touched: bool = False
 
 
 @dataclass(frozen=True)

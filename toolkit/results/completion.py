@@ -18,9 +18,10 @@ class MoveRow(ObjectRow):
     """Where one true object ended, in one cell.
 
     Errors are those of its true final pose against its true goal; `right_after` says after which rounds it stood right,
-    symmetry-aware. `stage` and `reason` say what kept it from its goal. `rounds`, `forced_buffers`, `scene_moves`,
-    `time_ms`, `motion_s` and `ended` are of the whole scene, the same in all its rows; `ended` holds the true (4, 4)
-    model-to-world pose, in the end, of every instance on the table.
+    symmetry-aware. `stage` and `reason` say what kept it from its goal. `touching_moves` are those of its moves with a
+    contact that was not meant. `rounds`, `forced_buffers`, `scene_moves`, `time_ms`, `motion_s` and `ended` are of the
+    whole scene, the same in all its rows; `ended` holds the true (4, 4) model-to-world pose, in the end, of every
+    instance on the table.
     """
 
     rotation_error_deg: float
@@ -34,6 +35,7 @@ class MoveRow(ObjectRow):
     reason: str | None = None
     moves: int
     buffer_moves: int
+    touching_moves: int = 0
     rounds: int
     forced_buffers: int
     scene_moves: int
@@ -64,6 +66,7 @@ class CompletionSummary:
     moves_per_object: Estimate
     moves_per_object_unforced: Estimate | None
     buffer_moves_per_scene: float
+    touching_moves: int
     forced_buffers_per_scene: float
     rounds: float
     perception_s: float
@@ -109,6 +112,7 @@ def _summarize_cell(cell: str, rows: list[MoveRow]) -> CompletionSummary:
         moves_per_object=_moves_per_object(scenes),
         moves_per_object_unforced=_moves_per_object(unforced) if unforced else None,
         buffer_moves_per_scene=float(np.mean([sum(row.buffer_moves for row in own) for own in scenes.values()])),
+        touching_moves=sum(row.touching_moves for row in rows),
         forced_buffers_per_scene=float(np.mean([first.forced_buffers for first in firsts])),
         rounds=float(np.mean([first.rounds for first in firsts])),
         perception_s=float(np.median([first.time_ms["perception"] for first in firsts])) / 1e3,

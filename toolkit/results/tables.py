@@ -117,6 +117,7 @@ def moves_table(summaries: Sequence[CompletionSummary]) -> FigureTable:
                 share(s.completion),
                 number(s.moves_per_object_unforced) if s.moves_per_object_unforced else "",
                 Figure(s.forced_buffers_per_scene, form=".2f"),
+                Figure(s.touching_moves, form="d"),
             )
         )
         for s in summaries
@@ -126,8 +127,9 @@ def moves_table(summaries: Sequence[CompletionSummary]) -> FigureTable:
         Column("scenes done, symmetry not counted", name="scenes done, symmetry not counted, %"),
         Column("moves, where none has to stand aside"),
         Column("aside at least, per scene"),
+        Column("moves with a contact"),
     )
-    return FigureTable("Symmetry not counted, and moves per object", columns, lines)
+    return FigureTable("Symmetry not counted, moves per object, and contacts that were not meant", columns, lines)
 
 
 def number(estimate: Estimate) -> Figure:

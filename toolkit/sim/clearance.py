@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 
 from toolkit.geometry import invert, transform_points
-from toolkit.sim.cubes import any_inside, around, standing, without
+from toolkit.sim.cubes import any_inside, around, deepened, standing, without
 from toolkit.sim.robot import Robot
 from toolkit.sim.urdf import absolute_text
 from toolkit.types import ArmWorld, Cubes, Float, Shape, Solid
@@ -18,9 +18,11 @@ _TABLE_MARGIN_M = 0.001
 
 _TABLE = Shape((np.array(list(product((-2.0, 2.0), (-2.0, 2.0), (-0.5, _TABLE_MARGIN_M)))),))
 
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _FINE_M, _COARSE_M = 0.002, 0.004
 """Sides of the cubes of what is taken and carried, and of all that the arm passes by."""
 
+_UNDERSIDE_M = 0.02
 _APART_M = _FINE_M + 0.0005
 """Nothing else is this near to a point of the object: neighbours that touch each other do not cut into each other."""
 
@@ -32,7 +34,8 @@ class Clearance:
     """An arm, the table, the points of one object and those of all others.
 
     The others are full down to the table, and everything the arm passes by is `margin` larger than it was seen. What is
-    to be taken, or is carried, is exactly as large as it was seen, and where it is there is nothing else.
+    to be taken, or is carried, is exactly as large as it was seen, and where it is there is nothing else. Its
+    underside, which no camera sees, lies up to 2 cm below what was seen of it, and no lower than the table.
 
     Args:
         robot: whose description is read; it is not moved.
@@ -63,11 +66,15 @@ class Clearance:
     def see(self, points: Float, others: Float) -> None:
         """Take (N, 3) points of an object and (M, 3) of everything else for what is there now; nothing is carried."""
         self.points = points
-        self._load = around(points, _FINE_M) if len(points) else None
-        self._passed = around(points, _COARSE_M, self._margin) if len(points) else None
         self._others = standing(around(others, _COARSE_M, self._margin)) if len(others) else None
-        if len(points) and self._others is not None:
-            self._others = without(self._others, around(points, _COARSE_M, _APART_M))
+        if not len(points):
+            self._load = self._passed = None
+        else:
+            self._load = deepened(around(points, _FINE_M), _UNDERSIDE_M)
+            whole = np.concatenate([points, self._load.centers])
+            self._passed = around(whole, _COARSE_M, self._margin)
+            if self._others is not None:
+                self._others = without(self._others, around(whole, _COARSE_M, _APART_M))
         self.arrange(self._drive)
 
     def arrange(self, drive: float) -> None:
@@ -125,6 +132,13 @@ class Clearance:
     def room(self, T: Float) -> bool:
         """Say whether the object would touch no other, a (4, 4) motion away from where it was seen."""
         return self._others is None or not any_inside(self._others, transform_points(T, self.points))
+
+    def fits(self, T: Float) -> bool:
+        """Say whether the object, as large as it is carried, would touch no other a (4, 4) motion away."""
+        if self._load is None or self._others is None:
+            return True
+        corners = self._load.centers[:, None] + self._load.side / 2 * _CORNERS
+        return not any_inside(self._others, transform_points(T, corners.reshape(-1, 3)))
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""

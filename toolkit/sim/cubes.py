@@ -30,6 +30,18 @@ def standing(cubes: Cubes, floor: float = 0.0) -> Cubes:
     return Cubes(cells, cubes.side)
 
 
+def deepened(cubes: Cubes, depth: float, floor: float = 0.0) -> Cubes:
+    """The cubes with those below the lowest of each column, `depth` metres down or to a table at height `floor`."""
+    by_column = np.lexsort((cubes.cells[:, 2], cubes.cells[:, 1], cubes.cells[:, 0]))
+    ordered = cubes.cells[by_column]
+    lowest = ordered[np.append(True, (np.diff(ordered[:, :2], axis=0) != 0).any(axis=1))]
+    steps = round(depth / cubes.side)
+    below = np.repeat(lowest, steps, axis=0)
+    below[:, 2] -= np.tile(np.arange(1, steps + 1), len(lowest))
+    below = below[below[:, 2] >= int(np.floor(floor / cubes.side))]
+    return Cubes(np.concatenate([cubes.cells, below]), cubes.side)
+
+
 def without(cubes: Cubes, other: Cubes) -> Cubes | None:
     """The cubes that `other`, of the same side, does not have; None where none are left."""
     kept = cubes.cells[~np.isin(_numbers(cubes.cells), _numbers(other.cells))]

@@ -126,7 +126,7 @@ def loft(centers: Float, halves: Float, power: float, rect: Rect, segments: int 
     uv = np.stack(np.broadcast_arrays((u0 + (u1 - u0) * along)[:, None], v0 + (v1 - v0) * t / (2 * np.pi)), -1)
     vertices = rings.reshape(-1, 3)
     pieces = tuple(rings[i : i + 2].reshape(-1, 3) for i in range(1, len(rings) - 2))
-    return Surface(vertices, uv.reshape(-1, 2), _grid(len(rings), len(t))[:, ::-1], pieces)
+    return Surface(vertices, uv.reshape(-1, 2), _grid(len(rings), len(t)), pieces)
 
 
 def tube(path: Float, radius: float, rect: Rect, segments: int = 12) -> Surface:

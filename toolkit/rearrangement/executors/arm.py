@@ -157,13 +157,13 @@ class Arm(Plugin[ArmConfig], Executor):
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self.moves += 1
-        before = self._bench.pose(number)
+        before, touches = self._bench.pose(number), len(self.touches)
         try:
             failure = self._carry_out(number, request)
         except DriverError as error:  # in a simulator nothing is lost by going on
             failure = Failure("executor", str(error))
-        moved = self._bench.pose(number) @ invert(before)
-        return Outcome(failure, number, self._bench.seconds - start, moved if self._bench.seconds > start else None)
+        seconds, moved = self._bench.seconds - start, self._bench.pose(number) @ invert(before)
+        return Outcome(failure, number, seconds, moved if seconds > 0 else None, len(self.touches) > touches)
 
     def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
         goal = transform_points(request.T_place_pick, request.points)

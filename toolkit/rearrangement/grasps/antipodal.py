@@ -20,7 +20,7 @@ from toolkit.rearrangement.grasps.geometry.surface import Contacts, antipodal_pa
 from toolkit.rearrangement.moves import Grasp, GraspRequest
 from toolkit.rearrangement.stages import Grasper
 from toolkit.registry import Plugin
-from toolkit.types import Failure, Float
+from toolkit.types import Failure, Float, Gripper
 
 
 class AntipodalConfig(RoomConfig):
@@ -44,15 +44,15 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
         rng = np.random.default_rng(seed)
         center, across, widest = seen.points.mean(axis=0), normals(seen.points), c.widest_m(seen.gripper)
         pairs = antipodal_pairs(seen.points, across, widest, c.friction, c.contacts, rng)
-        found = first_with_room(self._candidates(pairs, center), seen, c)
+        found = first_with_room(self._candidates(pairs, center, seen.gripper), seen, c)
         if not found:
             walls = wall_pairs(seen.points, across, c.contacts, rng)
-            found = first_with_room(self._candidates(walls, center), seen, c)
+            found = first_with_room(self._candidates(walls, center, seen.gripper), seen, c)
         if not found and not len(pairs):
             return Failure("grasp", f"no two opposite surfaces lie within {100 * widest:.1f} cm of each other")
         return found or NO_ROOM
 
-    def _candidates(self, pairs: Contacts, center: Float) -> Iterator[Grasp]:
+    def _candidates(self, pairs: Contacts, center: Float, gripper: Gripper) -> Iterator[Grasp]:
         """Grasps on every pair, approaching as steeply as it allows, and from two sides, half and nearly level."""
         for a, b, alignment in zip(pairs.first, pairs.second, pairs.alignment, strict=True):
             x = closing_direction(a, b)
@@ -63,4 +63,4 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
             worth = float(alignment) * balance(a, b, center)
             for tilt in np.radians([0, 35, -35, 75, -75]):
                 z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
-                yield from grasps_on(a, b, z, worth * (0.5 - 0.5 * float(z[2])), self.config)
+                yield from grasps_on(a, b, z, worth * (0.5 - 0.5 * float(z[2])), gripper, self.config)

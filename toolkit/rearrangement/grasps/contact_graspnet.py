@@ -73,7 +73,8 @@ class ContactGraspnet(Plugin[ContactGraspnetConfig], Grasper):
         center = seen.points.mean(axis=0)
         for contact, baseline, approach, score in self._contacts(seen, seed):
             a, b = span(seen.points, contact, baseline, self.config.widest_m(seen.gripper))
-            yield from grasps_on(a, b, approach, float(score) * balance(a, b, center), self.config)
+            worth = float(score) * balance(a, b, center)
+            yield from grasps_on(a, b, approach, worth, seen.gripper, self.config)
 
     @torch.inference_mode()
     def _contacts(self, seen: GraspRequest, seed: int) -> Iterator[tuple[Float, Float, Float, float]]:

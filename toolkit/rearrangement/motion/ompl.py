@@ -28,7 +28,7 @@ class OmplConfig(PluginConfig):
     """Settings of `ompl`."""
 
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
-    step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
+    step_rad: float = Field(0.01, gt=0, description="Way between two collision checks, over all joints.")
     iterations: int = Field(
         4000, ge=1, description="Largest number of branches that are tried; a search ends with them."
     )

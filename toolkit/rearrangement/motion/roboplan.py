@@ -21,7 +21,7 @@ class RoboplanConfig(PluginConfig):
     """Settings of `roboplan`."""
 
     range_rad: float = Field(0.8, gt=0, description="Longest branch of the trees.")
-    step_rad: float = Field(0.04, gt=0, description="Way between two collision checks, over all joints.")
+    step_rad: float = Field(0.01, gt=0, description="Way between two collision checks, over all joints.")
     nodes: int = Field(10000, ge=2, description="Largest number of poses in both trees; a search ends with them.")
     shortcuts: int = Field(100, ge=0, description="Shortcuts tried on a path that was found.")
 

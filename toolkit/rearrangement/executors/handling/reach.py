@@ -84,7 +84,7 @@ class Reach:
             grasps: on the object, best first.
             T_place_pick: (4, 4) its motion.
         """
-        if not self._clearance.room(T_place_pick):
+        if not self._clearance.fits(T_place_pick):
             return Failure("executor", "another object is in the way where it is to be put")
         furthest, searched = 0, 0
         failure: Failure | None = None
@@ -115,6 +115,8 @@ class Reach:
         furthest = 0
         for at_grasp in at_grasps:
             furthest = max(furthest, 1)
+            if not self._closes(at_grasp, grasp):  # first, since a line takes longer to find
+                continue
             approach = self._inverse.line(at_grasp, self._back(hand))
             if approach is None or not self._comes(approach, grasp):
                 continue
@@ -130,31 +132,46 @@ class Reach:
             furthest = max(furthest, landing)
         return furthest
 
-    def _comes(self, approach: Float, grasp: Grasp) -> bool:
-        """Say whether the opened hand gets to a grasp on an (N, J) way back from it, and can close there."""
+    def _closes(self, at_grasp: Float, grasp: Grasp) -> bool:
+        """Say whether the opened hand is free around the object, at (J,) joint angles, and can close there."""
         clearance, robot = self._clearance, self._clearance.robot
         clearance.arrange(robot.drive_for(grasp.opening))
         clearance.approach()
-        if not all(map(clearance.free, approach)):
+        if not clearance.free(at_grasp):
             return False
         for opening in np.linspace(grasp.opening, grasp.closed, _CLOSING + 1)[1:]:
             clearance.put(np.eye(4), robot.drive_for(float(opening)), held=True)
-            if not clearance.free(approach[0]):
+            if not clearance.free(at_grasp):
                 return False
         return True
 
+    def _comes(self, approach: Float, grasp: Grasp) -> bool:
+        """Say whether the opened hand gets to a grasp on an (N, J) way back from it."""
+        self._clearance.arrange(self._clearance.robot.drive_for(grasp.opening))
+        self._clearance.approach()
+        return all(map(self._clearance.free, approach))
+
     def _land(self, in_hand: Float, wanted: Float, near: Float, opening: float) -> _Landing | int:
         """How an object at a (4, 4) pose in the hand is put down at a pose `wanted`; else an index into `_REASONS`."""
-        hand = wanted @ invert(in_hand)
+        clearance, hand = self._clearance, wanted @ invert(in_hand)
+        drive = clearance.robot.drive_for(opening)
         furthest = 2
         for at_place in self._inverse.solve(hand, near)[:3]:
+            clearance.put(wanted, drive, held=True)
+            if not clearance.free(at_place):  # first, since lines take longer to find
+                furthest = 3
+                continue
             retreat = self._inverse.line(at_place, self._back(hand))
             if retreat is None:
                 continue
             furthest = 3
-            self._clearance.carry(in_hand)
+            # The opened hand must get away from the object without taking it along.
+            clearance.put(wanted, drive, held=False)
+            if not all(map(clearance.free, retreat[1:])):
+                continue
+            clearance.carry(in_hand)
             lower = self._rise(at_place, _UP)
-            if lower is not None and self._leaves(wanted, retreat, opening):
+            if lower is not None:
                 return _Landing(lower, retreat)
         return furthest
 
@@ -175,15 +192,6 @@ class Reach:
         clearance = self._clearance
         motions = squeezed(clearance.points, grasp, clearance.robot.model.gripper)
         return all(map(clearance.room, motions))
-
-    def _leaves(self, wanted: Float, retreat: Float, opening: float) -> bool:
-        """Say whether the opened hand gets away from the object where it was put, without taking it along."""
-        clearance, drive = self._clearance, self._clearance.robot.drive_for(opening)
-        clearance.put(wanted, drive, held=True)
-        if not clearance.free(retreat[0]):
-            return False
-        clearance.put(wanted, drive, held=False)
-        return all(map(clearance.free, retreat[1:]))
 
     def _join(self, q: Float, grasp: Grasp, lines: _Lines) -> Way | Failure:
         """Free paths to the straight parts, and between them."""

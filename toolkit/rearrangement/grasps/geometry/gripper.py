@@ -42,5 +42,5 @@ def points_in_boxes(points: Float, T_world_gripper: Float, boxes: list[Box], ret
 
 def lowest(T_world_gripper: Float, boxes: list[Box]) -> float:
     """Smallest z of the boxes' corners, world coordinates, metres."""
-    corners = [[pick[i][axis] for axis, i in enumerate(index)] for pick in boxes for index in np.ndindex(2, 2, 2)]
-    return float(transform_points(T_world_gripper, np.array(corners))[:, 2].min())
+    up, height = T_world_gripper[2, :3], T_world_gripper[2, 3]
+    return float(height + min(np.minimum(up * low, up * high).sum() for low, high in boxes))

@@ -18,8 +18,11 @@ from toolkit.types import Failure, Float, Gripper
 _SPACING_M = 0.003
 _OTHERS_SPACING_M = 0.005
 _FEWEST_POINTS = 10
-_STRAY_POINTS = 3
-"""Points that may lie inside a finger: noise, and the contact itself."""
+_STRAY_POINTS = 1
+"""Points of the object that may lie inside a finger: noise. A finger that cuts off a corner meets two or more."""
+
+_SOME = 10
+"""Most grasps without room show that on every tenth point."""
 
 _LEVEL = np.sin(np.radians(10))
 """A closing direction this near to level is made level: that is where a finger finds room above the table."""
@@ -35,15 +38,22 @@ class RoomConfig(PluginConfig):
     """What every grasper that checks for room is told."""
 
     spare_m: float = Field(0.005, ge=0, description="Room on each side of the object when the open gripper comes.")
+    least_spare_m: float = Field(
+        0.002, ge=0, description="The same where the object fills the gripper; one that leaves less does not fit."
+    )
     depth_m: float = Field(0.01, ge=0, description="How far the fingertips reach beyond the contacts.")
-    tries: int = Field(600, ge=1, description="Grasps checked for room at most, best first.")
+    tries: int = Field(4000, ge=1, description="Grasps checked for room at most, best first.")
     table_z_m: float = Field(0.0, description="Height of the table.")
     table_gap_m: float = Field(0.003, ge=0, description="Least height of the gripper above it.")
-    keep: int = Field(20, ge=1, description="Grasps returned at most.")
+    keep: int = Field(40, ge=1, description="Grasps returned at most.")
 
     def widest_m(self, gripper: Gripper) -> float:
         """Longest distance of two contacts, metres."""
-        return gripper.stroke_m - 2 * self.spare_m
+        return gripper.stroke_m - 2 * min(self.spare_m, self.least_spare_m)
+
+    def spare(self, width: float, gripper: Gripper) -> float:
+        """Room on each side, metres, that a gripper opens to around contacts `width` metres apart."""
+        return min(self.spare_m, (gripper.stroke_m - width) / 2)
 
 
 NO_ROOM = Failure("grasp", "every grasp would touch the table, the object's other parts or another object")
@@ -71,16 +81,19 @@ def balance(a: Float, b: Float, center: Float) -> float:
     return float(np.exp(-lever / _LEVER_M))
 
 
-def grasps_on(a: Float, b: Float, approach: Float, score: float, config: RoomConfig) -> Iterator[Grasp]:
-    """Grasps on two contacts that come along `approach`, as nearly as the closing direction lets them."""
+def grasps_on(
+    a: Float, b: Float, approach: Float, score: float, gripper: Gripper, config: RoomConfig
+) -> Iterator[Grasp]:
+    """Grasps on two contacts within `widest_m`, along `approach` as nearly as the closing direction lets them."""
     x = closing_direction(a, b)
     z = approach - (approach @ x) * x
     z /= np.linalg.norm(z)
     R = np.stack([x, np.cross(z, x), z], axis=1)
-    opening = float(np.linalg.norm(b - a)) + 2 * config.spare_m
+    width = float(np.linalg.norm(b - a))
+    spare = config.spare(width, gripper)
     # Flat objects leave no room below: their contacts are taken with the very tips.
     for depth, worth in ((config.depth_m, 1.0), (0.3 * config.depth_m, 0.5)):
-        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), opening, config.spare_m, worth * score)
+        yield Grasp(make_transform(R, (a + b) / 2 + depth * z), width + 2 * spare, spare, worth * score)
 
 
 def first_with_room(candidates: Iterable[Grasp], request: GraspRequest, config: RoomConfig) -> list[Grasp]:
@@ -88,13 +101,14 @@ def first_with_room(candidates: Iterable[Grasp], request: GraspRequest, config: 
 
     `request` is evenly seen.
     """
+    some = replace(request, points=request.points[::_SOME], others=request.others[::_SOME])
     found: list[Grasp] = []
     tried = 0
     for candidate in sorted(candidates, key=lambda grasp: -grasp.score):
         if any(_alike(candidate, other) for other in found):
             continue
         tried += 1
-        if _has_room(candidate, request, config):
+        if _has_room(candidate, some, config) and _has_room(candidate, request, config):
             found.append(candidate)
         if len(found) == config.keep or tried == config.tries:
             break
