@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -137,6 +138,17 @@ def test_a_killed_worker_changes_nothing(backend, folder, reference, tmp_path, m
     assert (folder / "flag").exists(), "no worker was killed"
     assert lines(run) == lines(reference)
     assert len(heard.lines) == (backend == "loky")
+
+
+@pytest.mark.filterwarnings("error")
+def test_another_cluster_on_the_machine_is_no_trouble():
+    pytest.importorskip("distributed")
+    with socket.socket() as taken:
+        with suppress(OSError):  # another cluster has it already
+            taken.bind(("", 8787))
+            taken.listen()
+        with open_workers(2, "dask") as workers:
+            assert sorted(workers.map(abs, [-1, -2])) == [1, 2]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -57,7 +57,11 @@ def _local_cluster(distributed: Any, count: int) -> Any:
     # A worker that cannot be started again, on a machine that has too much to do, is never tried again.
     with optional("dask", "dask").config.set({"distributed.scheduler.no-workers-timeout": f"{_ALONE_S} s"}):
         return distributed.LocalCluster(
-            n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs=logging.CRITICAL
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,
+            dashboard_address=":0",  # any port: without one, dask takes 8787 and warns where another cluster has it
+            silence_logs=logging.CRITICAL,
         )
 
 
