@@ -140,9 +140,9 @@ def test_a_place_that_is_taken_is_found_out_before_grasps_are_tried(monkeypatch)
     assert answer == Failure("executor", "another object is in the way where it is to be put")
 
 
-@pytest.mark.parametrize(("wide", "taken"), [(0.030, True), (0.033, False)])
+@pytest.mark.parametrize(("wide", "taken"), [(0.028, True), (0.034, False)])
 def test_what_fills_the_opened_gripper_is_not_taken(wide, taken):
-    """It comes at 35 mm: with 1 mm to either side, it would hardly be let go again."""
+    """It comes at 35 mm: with half a millimetre to either side, it would hardly be let go again."""
     with closing(Client()) as client:
         clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
     timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)

@@ -22,7 +22,7 @@ _UP, _LEAST_LIFT_M = np.array([0.0, 0.0, 0.15]), 0.06
 _CLOSING = 3
 """Places between open and closed at which the fingers are looked at."""
 
-_LOOSE_M = 0.0015
+_LOOSE_M = 0.001
 """An object has at least so much room to either side between the opened fingers."""
 
 _MOST_SEARCHES = 3
