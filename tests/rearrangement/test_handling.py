@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,6 +139,20 @@ def test_a_place_that_is_taken_is_found_out_before_grasps_are_tried(monkeypatch)
     there = make_transform(np.eye(3), np.array([0.11, 0, 0]))
     answer = reach.plan(np.array(PANDA.home), [grasp(0.0)], there)
     assert answer == Failure("executor", "another object is in the way where it is to be put")
+
+
+@pytest.mark.parametrize(("opening", "taken"), [(0.035, True), (0.033, False)])
+def test_what_fills_the_opened_gripper_is_not_taken(opening, taken):
+    """A bar of 31.5 mm, full cubes of 2 mm: with half a millimetre to either side, it would hardly be let go again."""
+    with closing(Client()) as client:
+        clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
+    timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
+    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+    middle = np.array([0.4, 0, 0])
+    clearance.see((bar(0.0) - middle) * [31.5 / 20, 1, 1] + middle, np.zeros((0, 3)))
+    held = replace(grasp(0.0), opening=opening, spare=0.5e-3)
+    way = reach.plan(np.array(PANDA.home), [held], make_transform(np.eye(3), np.array([0, -0.05, 0])))
+    assert isinstance(way, Way) == taken
 
 
 CAMERA_K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from toolkit.geometry import invert
+from toolkit.geometry import invert, make_transform
 from toolkit.rearrangement.executors.handling.inverse import Inverse, steps
 from toolkit.rearrangement.executors.handling.squeeze import squeezed
 from toolkit.rearrangement.executors.handling.timing import Timer
@@ -21,6 +21,9 @@ from toolkit.types import Failure, Float
 _UP, _LEAST_LIFT_M = np.array([0.0, 0.0, 0.15]), 0.06
 _CLOSING = 3
 """Places between open and closed at which the fingers are looked at."""
+
+_LOOSE_M = 0.001
+"""An object has at least so much room to either side between the opened fingers."""
 
 _MOST_SEARCHES = 3
 """Grasps whose free paths are searched for at most."""
@@ -135,10 +138,11 @@ class Reach:
     def _closes(self, at_grasp: Float, grasp: Grasp) -> bool:
         """Say whether the opened hand is free around the object, at (J,) joint angles, and can close there."""
         clearance, robot = self._clearance, self._clearance.robot
-        clearance.arrange(robot.drive_for(grasp.opening))
-        clearance.approach()
-        if not clearance.free(at_grasp):
-            return False
+        across = grasp.T_world_gripper[:3, 0]
+        for off in (-_LOOSE_M, _LOOSE_M):  # what fills the opened gripper to the last is not let go again
+            clearance.put(make_transform(np.eye(3), off * across), robot.drive_for(grasp.opening), held=False)
+            if not clearance.free(at_grasp):
+                return False
         for opening in np.linspace(grasp.opening, grasp.closed, _CLOSING + 1)[1:]:
             clearance.put(np.eye(4), robot.drive_for(float(opening)), held=True)
             if not clearance.free(at_grasp):
