@@ -57,7 +57,7 @@ def measure(folder: Path, small: Path) -> list[float]:
     """Seconds for the database and per goal object, and the MB by which the process grew; after a small scene."""
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    session = Session(only_cell(load_experiment("estimate")))
+    session = Session()
     for path in (small, folder):
         capture = load_capture(path)
         size, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()

@@ -112,12 +112,17 @@ def test_fingers_turn_a_bar_as_was_foreseen(off, tmp_path):
     assert abs(turned) > np.radians(4)
 
 
-def test_a_bar_is_not_turned_against_its_neighbour():
-    """A post beside the bar's end, on the side to which closing fingers turn it, and on the other."""
+def panda():
+    """What is known of the surroundings of a Panda, and the ways it finds there."""
     with closing(Client()) as client:
         clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
     timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
-    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+    return clearance, Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+
+
+def test_a_bar_is_not_turned_against_its_neighbour():
+    """A post beside the bar's end, on the side to which closing fingers turn it, and on the other."""
+    clearance, reach = panda()
     lies = bar(0.15)  # its far end points to smaller x, and is turned to larger x
     far_end = lies[lies[:, 1].argmax()]
     ways = {}
@@ -130,10 +135,7 @@ def test_a_bar_is_not_turned_against_its_neighbour():
 
 
 def test_a_place_that_is_taken_is_found_out_before_grasps_are_tried(monkeypatch):
-    with closing(Client()) as client:
-        clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
-    timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
-    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+    clearance, reach = panda()
     clearance.see(bar(0.0), bar(0.0) + np.array([0.1, 0, 0]))
     monkeypatch.setattr(Reach, "_lines", lambda *_: 1 / 0)
     there = make_transform(np.eye(3), np.array([0.11, 0, 0]))
@@ -144,10 +146,7 @@ def test_a_place_that_is_taken_is_found_out_before_grasps_are_tried(monkeypatch)
 @pytest.mark.parametrize(("opening", "taken"), [(0.035, True), (0.033, False)])
 def test_what_fills_the_opened_gripper_is_not_taken(opening, taken):
     """A bar of 31.5 mm, full cubes of 2 mm: with half a millimetre to either side, it would hardly be let go again."""
-    with closing(Client()) as client:
-        clearance = Clearance(Robot(client, PANDA, np.eye(4)), margin=0.002)
-    timer = Timer(clearance, LIMITS, joint_speed=0.8, line_speed=0.25)
-    reach = Reach(clearance, MOTION_PLANNERS.create("roboplan"), timer, approach_m=0.08, seed=0)
+    clearance, reach = panda()
     middle = np.array([0.4, 0, 0])
     clearance.see((bar(0.0) - middle) * [31.5 / 20, 1, 1] + middle, np.zeros((0, 3)))
     held = replace(grasp(0.0), opening=opening, spare=0.5e-3)

@@ -23,6 +23,7 @@ from toolkit.harness.runs import (
     open_run,
     read_resolved,
     resolve,
+    run_place,
     writable,
     write_meta,
 )
@@ -60,7 +61,7 @@ def drive(
     resolved = resolve(experiment.name, [cell.resolved() for cell in cells], options.shard)
     with Following(options.log, progress) as hooks:
         with workers_for(experiment, options, progress) as workers:
-            with writable(f"'{options.out or Path('runs') / experiment.name}'"):
+            with writable(f"'{run_place(experiment.name, options.out)}'"):
                 run = open_run(experiment.name, resolved, options.out, resume=options.resume, fresh=options.fresh)
                 done = finished(run, kind.row)
             job = Job(run, cells, options.shard, done, cache, workers, progress)

@@ -92,6 +92,11 @@ def resolve(name: str, cells: Sequence[Mapping[str, Any]], shard: Shard = WHOLE)
     return resolved if shard == WHOLE else {**resolved, "shard": str(shard)}
 
 
+def run_place(name: str, out: Path | None) -> Path:
+    """Where a run of an experiment lies: `out`, or below runs/<name>."""
+    return out or Path("runs") / name
+
+
 def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume: bool, fresh: bool) -> Path:
     """Make the run's folder, or find the one to go on with.
 
@@ -107,7 +112,7 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     """
     if resume:
         return _resumable(name, resolved, out)
-    run = out or _new_folder(Path("runs") / name)
+    run = out or _new_folder(run_place(name, out))
     if (run / ROWS).exists() and not fresh:
         raise ToolkitError(f"'{run}' already holds a run; add --resume to go on with it or --fresh to start again")
     if fresh and (run / RESOLVED).exists():
@@ -131,13 +136,13 @@ def _new_folder(parent: Path) -> Path:
 
 
 def _resumable(name: str, resolved: Mapping[str, Any], out: Path | None) -> Path:
-    candidates = [out] if out else sorted((Path("runs") / name).glob("*"), reverse=True)
+    place = run_place(name, out)
+    candidates = [out] if out else sorted(place.glob("*"), reverse=True)
     for run in candidates:
         if (run / RESOLVED).exists() and digest(read_resolved(run)) == digest(resolved):
             (run / SUMMARY).unlink(missing_ok=True)
             return run
-    where = f"'{out}'" if out else f"'{Path('runs') / name}'"
-    raise ToolkitError(f"{where} holds no run with these settings to resume; leave --resume out to start one")
+    raise ToolkitError(f"'{place}' holds no run with these settings to resume; leave --resume out to start one")
 
 
 def finished(run: Path, model: type[ObjectRow]) -> set[tuple[str, int]]:
