@@ -23,6 +23,8 @@ from toolkit.data.scene import TabletopConfig
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, transform_points
 from toolkit.harness.experiment import PipelineChoice, RearrangeChoice, load_experiment
+from toolkit.harness.runs import read_cells
+from toolkit.results.about import About
 from toolkit.results.poses import read_poses
 from toolkit.results.rows import read_rows
 from toolkit.settings import shipped_settings
@@ -319,6 +321,10 @@ def test_evaluate_scores_a_folder_of_captures(dataset, tmp_path):
     assert sum(row.success_sym for row in rows) >= 2
     assert (tmp_path / "out" / "000001" / "poses.json").is_file()
     assert "5 deg 2 cm" in done.stdout
+    about = About.read(tmp_path / "out")
+    assert about.title == f"Captures of {dataset.name}" and about.command.startswith("toolkit evaluate")
+    (cell,) = read_cells(tmp_path / "out")
+    assert cell.dataset == {"path": str(dataset)} and cell.pipeline.matcher.name == "sift"
 
 
 def in_opengls_axes(capture):

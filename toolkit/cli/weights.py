@@ -31,7 +31,7 @@ def weights_list() -> None:
             card.architecture, "\n", (card.licence, "dim"), (" (non-commercial)" * card.non_commercial, "red")
         )
         here = "yes" if find_weights(card) else "no"
-        table.add_row(name, users.get(name, ""), what, f"{card.size_mb:.0f}", here)
+        table.add_row(name, users.get(name, ""), what, f"{card.size_mb:.{int(card.size_mb < 10)}f}", here)
     say(table)
 
 

@@ -67,7 +67,8 @@ def drive(
             job = Job(run, cells, options.shard, done, cache, workers, progress)
             work = kind.work(job)
             with writable(f"'{run}'"):
-                write_meta(run, experiment, weights, work.datasets)
+                about = experiment.model_dump(include={"title", "description", "reference"})
+                write_meta(run, about, weights, work.datasets)
                 count = sum(len(task.cells) for task in work.tasks)
                 hooks.begin(Start(run, experiment.name, experiment.title or experiment.name, resolved, count))
                 with progress.step(kind.doing, count) as advance:
@@ -94,7 +95,7 @@ def _run_scene(kind: RunKind[RowT, TaskT], task: TaskT) -> tuple[int, list[RowT]
 
 
 def kind_of(run: Path) -> RunKind[Any, Any]:
-    """The kind of a run, by the cells it wrote down; `toolkit evaluate` writes down none, and an ablation's rows.
+    """The kind of a run, by the cells it wrote down.
 
     Raises:
         ToolkitError: what it wrote down cannot be read.

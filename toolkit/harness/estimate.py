@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from toolkit.data.bop import load_capture
 from toolkit.data.dataset import read_dataset
 from toolkit.files import writing
 from toolkit.harness.experiment import Cell
-from toolkit.harness.runs import writable
+from toolkit.harness.runs import resolve, writable, write_meta, write_resolved
 from toolkit.harness.session import Session
 from toolkit.perception.checks.capture import RefusedError, refuse
 from toolkit.perception.database import Database
@@ -82,6 +82,11 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
     """
     session = Session(cell)
     captures = read_dataset(dataset)
+    source = {"path": str(dataset.resolve())}
+    with writing(f"'{out}'"):
+        out.mkdir(parents=True, exist_ok=True)
+        write_resolved(out, resolve("evaluate", [replace(cell, dataset=source).resolved()]))
+        write_meta(out, {"title": f"Captures of {dataset.resolve().name}"}, session.weights, [source])
     rows: list[Row] = []
     with progress.step("Evaluating", len(captures)) as advance:
         for scene_id, folder in enumerate(captures):
@@ -94,7 +99,6 @@ def evaluate_folder(dataset: Path, cell: Cell, out: Path, progress: Progress) ->
             if capture.truth is not None and capture.goal.true_masks is not None:
                 rows += score(capture, estimates, cell=cell.name, scene_id=scene_id, weights=session.weights)
                 with writable(f"'{out}'"):
-                    out.mkdir(parents=True, exist_ok=True)
                     write_rows(out / ROWS, rows)
             advance(1)
     if rows:

@@ -20,7 +20,7 @@ from toolkit.digests import digest, package_digest
 from toolkit.errors import ToolkitError
 from toolkit.files import write_json, write_text, writing
 from toolkit.harness.cache import library_versions
-from toolkit.harness.experiment import Cell, Experiment
+from toolkit.harness.experiment import Cell
 from toolkit.parallel import cores
 from toolkit.results.folder import META, RESOLVED, ROWS, SUMMARY
 from toolkit.results.rows import ObjectRow, RowT, read_rows_as, write_rows
@@ -118,8 +118,13 @@ def open_run(name: str, resolved: Mapping[str, Any], out: Path | None, *, resume
     if fresh and (run / RESOLVED).exists():
         shutil.rmtree(run)
     run.mkdir(parents=True, exist_ok=True)
-    write_text(run / RESOLVED, yaml.safe_dump(dict(resolved), sort_keys=False))
+    write_resolved(run, resolved)
     return run
+
+
+def write_resolved(run: Path, resolved: Mapping[str, Any]) -> None:
+    """Write experiment.resolved.yaml."""
+    write_text(run / RESOLVED, yaml.safe_dump(dict(resolved), sort_keys=False))
 
 
 def _new_folder(parent: Path) -> Path:
@@ -194,13 +199,20 @@ def require_run(folder: Path) -> None:
 
 
 def write_meta(
-    run: Path, experiment: Experiment, weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]
+    run: Path, about: Mapping[str, str], weights: Mapping[str, str], datasets: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Write meta.json: what the run is of, commit, versions, device, weights and how every dataset was made."""
+    """Write meta.json: commit, versions, device, and what a run knows.
+
+    Args:
+        run: its folder.
+        about: its title, and its description and reference where it has them.
+        weights: digests of the weights by name.
+        datasets: how every dataset was made.
+    """
     write_json(
         run / META,
         {
-            "experiment": {key: getattr(experiment, key) for key in ("title", "description", "reference")},
+            "experiment": dict(about),
             "toolkit": __version__,
             "source": package_digest(),
             **_commit(),

@@ -123,10 +123,8 @@ CARDS: dict[str, WeightCard] = {
                 sha256=sha256,
             )
             for model, size, sha256 in (
-                ("t16", 0.8, "56782336919db220144a884e710e2b6af13b3b8f8da15b915a239078ab471085"),
                 ("n16", 2.7, "5be8704840ed662d9d8c561bf7279c222092674e7eb05fd0feab94899e9d82f2"),
                 ("n16rot", 2.7, "ddf3abbf38e86f6a74540d214e1a9712c54b2d8551abc864542199f2347d7332"),
-                ("n32", 3.9, "055283fd1624d3ab46a05c3b617b1a79a3f28d1f551737eef2d653e8c8232890"),
             )
         ),
         WeightCard(

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
@@ -70,18 +71,18 @@ class Plot:
             for kind, metadata in _DATELESS.items():
                 with new_file(folder / f"{self.name}.{kind}") as path:
                     figure.savefig(path, format=kind, metadata=metadata)
-                # Laid out once for both files.
-                figure.set_layout_engine("none")
 
     def _style(self, ink: str) -> Any:
         return matplotlib.rc_context({**_STYLE, **dict.fromkeys(_INKED, ink)})
 
     def _drawn(self, *, legend: bool) -> Figure:
-        figure = Figure(figsize=self.size, layout="constrained")
+        figure = Figure(figsize=self.size)
         self.draw(figure)
         if legend and self.legend:
             handles = [Line2D([], [], color=color, marker="o", label=name) for name, color in self.legend.items()]
             figure.legend(handles=handles, loc="outside lower center", ncols=min(3, len(handles)))
+        # Once, for every file: a figure with an engine of its own is drawn twice each time.
+        ConstrainedLayoutEngine().execute(figure)
         return figure
 
 
