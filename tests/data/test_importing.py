@@ -47,7 +47,7 @@ from toolkit.data.importing import IMPORTERS
 from toolkit.data.importing.choosing import Frames, find, spread
 from toolkit.data.importing.folders import picture
 from toolkit.data.importing.recorder import record_capture
-from toolkit.data.importing.recording import Recording, Shot
+from toolkit.data.importing.recording import Recording, Shot, library
 from toolkit.data.importing.streams import Pixels
 from toolkit.data.importing.trajectory import Trajectory
 from toolkit.data.importing.writing import Goal, import_capture
@@ -456,3 +456,10 @@ def test_a_library_that_is_missing_is_named_with_its_extra(kind, module, tmp_pat
     settings = {"colmap": {"scale": 1.0}, "ros": {}, "realsense": {"poses": str(tmp_path / "poses.txt")}}[kind]
     with pytest.raises(ToolkitError, match=rf"needs {module}: pip install 'rearrange-toolkit\[{kind}\]'"):
         IMPORTERS.create(kind, settings).read(tmp_path / "file")
+
+
+def test_a_library_whose_own_libraries_the_system_lacks_is_not_to_be_installed_again(tmp_path, monkeypatch):
+    (tmp_path / "linked.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open shared object file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ToolkitError, match=r"a camera needs linked, which is installed .*\(libusb-1\.0\.so\.0: cannot"):
+        library("linked", "realsense", "a camera")

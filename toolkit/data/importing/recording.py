@@ -96,11 +96,14 @@ def library(module: str, extra: str, what: str) -> Any:
         what: what needs it.
 
     Raises:
-        ToolkitError: it is not installed.
+        ToolkitError: it is not installed, or the system lacks what it is linked to.
     """
+    needs = f"{what} needs {module.partition('.')[0]}"
     try:
         return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise ToolkitError(f"{needs}: pip install 'rearrange-toolkit[{extra}]'") from error
     except ImportError as error:
         raise ToolkitError(
-            f"{what} needs {module.partition('.')[0]}: pip install 'rearrange-toolkit[{extra}]'"
+            f"{needs}, which is installed and cannot be loaded ({error}): install what it lacks"
         ) from error
