@@ -14,6 +14,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import jax
 import numpy as np
 import pytest
+from pages import draw_no_pages
 
 from toolkit.data.bop import load_capture
 from toolkit.data.dataset import cached_dataset
@@ -43,11 +44,17 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of this process draw no page and no pictures: most of what a small run computes."""
-    from toolkit.harness.ablate import Ablation
+    """Runs of this process draw no page and no pictures."""
+    draw_no_pages(monkeypatch)
 
-    monkeypatch.setattr(Ablation, "illustrate", lambda self, job, rows: None)
-    monkeypatch.setattr(Ablation, "write_page", lambda self, run: run)
+
+@pytest.fixture
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages have all but their plots: most of what a page computes."""
+    from toolkit.results.report.plots import Plot
+
+    monkeypatch.setattr(Plot, "svg", lambda self: "")
+    monkeypatch.setattr(Plot, "write", lambda self, folder: None)
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from pages import draw_no_pages
 
 from toolkit.errors import ToolkitError
 from toolkit.harness.ablate import Ablation
@@ -66,13 +67,14 @@ def command(*arguments: object, **environment: str) -> subprocess.Popen[str]:
     )
 
 
-def test_a_run_writes_everything_and_the_cache_serves_the_next(experiment, tmp_path):
+def test_a_run_writes_everything_and_the_cache_serves_the_next(experiment, tmp_path, monkeypatch):
     first = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "first", workers=2))
     for name in ("experiment.resolved.yaml", "meta.json", "rows.jsonl", "summary.csv", "report.html"):
         assert (first / name).stat().st_size > 0
     rows = read_rows(first / "rows.jsonl")
     assert {row.cell for row in rows} == {"views=all", "views=1"}
     assert len(rows) == 2 * 2 * 2
+    draw_no_pages(monkeypatch)
     second = drive(Ablation(), load_experiment(str(experiment)), RunOptions(out=tmp_path / "second"))
     assert lines(second) == lines(first)
     assert all(row.cached for row in read_rows(second / "rows.jsonl"))

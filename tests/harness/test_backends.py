@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from command_line import toolkit
+from pages import draw_no_pages
 
 from toolkit.errors import ToolkitError
 from toolkit.harness.ablate import Ablation
@@ -111,14 +113,12 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="session")
 def reference(folder):
     """The run of this process alone. The flag is a relative path: workers must find it all the same."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        draw_no_pages(patch)
+        patch.chdir(folder)
         (folder / "flag").touch()
         run = drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=Path("reference"), use_cache=False))
         return folder / run
-    finally:
-        os.chdir(before)
 
 
 def lines(run: Path) -> list[str]:
@@ -357,18 +357,17 @@ def test_the_command_line_goes_to_a_cluster_by_its_address(folder, reference, tm
 def shards(folder, reference, tmp_path_factory):
     """Both halves of the experiment, and the whole of it."""
     out = tmp_path_factory.mktemp("shards")
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        draw_no_pages(patch)
+        patch.chdir(folder)
         for number in (1, 2):
             options = RunOptions(out=out / str(number), shard=Shard(number, 2))
             drive(Ablation(), load_experiment("small.yaml"), options)
         drive(Ablation(), load_experiment("small.yaml"), RunOptions(out=out / "whole"))
-    finally:
-        os.chdir(before)
     return out
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_shards_merge_to_the_run_in_one_piece(shards, tmp_path):
     merged = merge_shards([shards / "2", shards / "1"], tmp_path / "merged")
     assert lines(merged) == lines(shards / "whole")
@@ -380,17 +379,9 @@ def test_shards_merge_to_the_run_in_one_piece(shards, tmp_path):
 
 
 def test_the_command_line_merges_and_reports(shards, tmp_path):
-    call = [
-        sys.executable,
-        "-c",
-        "from toolkit.cli.commands import main; main()",
-        "report",
-        str(shards / "1"),
-        str(shards / "2"),
-    ]
-    done = subprocess.run(call, capture_output=True, text=True)
+    done = toolkit("report", shards / "1", shards / "2")
     assert done.returncode == 2 and "name its folder with --out" in done.stderr
-    done = subprocess.run([*call, "--out", str(tmp_path / "merged")], capture_output=True, text=True)
+    done = toolkit("report", shards / "1", shards / "2", "--out", tmp_path / "merged")
     assert done.returncode == 0, done.stderr
     assert "views=all" in done.stdout and (tmp_path / "merged" / "report.html").stat().st_size > 10_000
 
@@ -463,6 +454,7 @@ def test_a_shard_is_a_part_of_a_whole(text):
         Shard.parse(text)
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_rearrangements_shard_too(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "flag").touch()

@@ -139,6 +139,7 @@ def test_each_kind_sends_the_other_s_experiments_on(kind, name, tmp_path):
 # The lookup
 
 
+@pytest.mark.usefixtures("no_plots")
 @pytest.mark.parametrize(
     ("name", "kind", "row", "rows"),
     [

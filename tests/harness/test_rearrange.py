@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from pages import draw_no_pages
 from usual import USUAL
 
 from toolkit.data.objects import load_object_set
@@ -60,7 +61,7 @@ def lines(run):
     return [{key: value for key, value in row.items() if key != "time_ms"} for row in rows]
 
 
-def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
+def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path, monkeypatch):
     runs = [
         drive(
             Rearrangement(),
@@ -89,6 +90,7 @@ def test_a_run_writes_everything_and_repeats_to_the_bit(experiment, tmp_path):
         pictures = [(made / "pictures" / f"{scene_id:06d}.png").read_bytes() for made in runs]
         assert pictures[0] == pictures[1]
 
+    draw_no_pages(monkeypatch)
     # What a killed run leaves is taken up again.
     killed = runs[0]
     (killed / "rows.jsonl").write_text("\n".join((killed / "rows.jsonl").read_text().splitlines()[:3]))
@@ -117,6 +119,7 @@ def test_objects_too_wide_for_the_gripper_are_named_and_the_run_goes_on(experime
     assert "the gripper opens N cm" in (run / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_weights_of_planner_and_executor_are_named(experiment, tmp_path, monkeypatch):
     class Weighty(Kinematic):
         """Moves by a network."""

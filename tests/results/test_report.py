@@ -52,6 +52,7 @@ def test_the_report_needs_nothing_else(write):
     assert "too few inliers &lt;b&gt;&amp;" in page
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_the_page_shows_the_run_s_pictures_with_their_captions(write, tmp_path):
     assert "data:image/jpeg" not in write()
     for name, caption in (("000001", "Scene 1 <b>"), ("000000", "Scene 0")):
@@ -70,6 +71,7 @@ def test_the_scenes_that_tell_most_are_the_worst_and_some_of_the_best():
     assert telling_scenes(rows, 3, 1) == [1, 2, 3]
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_the_headline_is_of_the_best_cell(write):
     done = np.mean([all(row.success for row in make_rows("good", 0.9)[i : i + 3]) for i in range(0, 60, 3)])
     headline = re.search(r"<h1>(.*)</h1>", write())[1]
@@ -92,6 +94,7 @@ def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
     assert page.count("<svg") >= 2 and "objects in the scene" in page and "symmetry of the object" in page
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_what_is_all_right_has_nothing_wrong(write):
     page = write(1.0, 1.0)
     assert page.count(">nothing</td>") == 2
@@ -232,6 +235,7 @@ def test_the_table_fits_its_console(width):
     assert ("matcher calls" in text) == (width > 110)
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_the_page_comes_with_its_table_as_markdown(tmp_path):
     swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
     rows = [row.model_copy(update={"settings": swept}) for row in make_rows("rotation_deg=180,views=all", 0.9)]
@@ -282,6 +286,7 @@ def test_error_curves_never_turn_back_where_errors_lie_beyond_the_plot():
     assert max(nothing.axes[0].lines[0].get_ydata()) == 0
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_lines_of_the_paper_are_spoken_of_where_there_are_some(tmp_path):
     swept = {"pipeline.views": "all", "dataset.rotation_deg": 180}
     rows = [row.model_copy(update={"settings": swept}) for row in make_rows("a", 0.9)]
@@ -334,6 +339,7 @@ def test_every_table_and_plot_lies_beside_the_page_and_is_the_same_again(write, 
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()} == made
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_the_page_says_what_was_run_and_what_sets_its_cells_apart(write, tmp_path):
     stages = {"matcher": {"name": "sift", "ratio": 0.8}, "views": "all"}
     other = {"matcher": {"name": "loftr", "weights": "outdoor"}, "views": "all"}
