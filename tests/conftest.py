@@ -10,6 +10,8 @@ from pathlib import Path
 # One thread per process, also of commands that tests start: those of xdist's workers would wait for each other.
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
+# And one process per command, unless a test asks for more.
+os.environ["LOKY_MAX_CPU_COUNT"] = "1"
 
 import jax
 import numpy as np
