@@ -28,7 +28,7 @@ from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.combine import _about, combine
 from toolkit.perception.refiners.comparing.compare import Hypothesis
 from toolkit.perception.refiners.comparing.goal import LEVELS_PX, view_goal
-from toolkit.perception.refiners.comparing.images import normalized
+from toolkit.perception.refiners.comparing.images import Normalizer, opponent
 from toolkit.perception.refiners.comparing.likeness import unlikeness
 from toolkit.perception.refiners.comparing.rotations import resting_rotations, yaw_rotations
 from toolkit.perception.refiners.comparing.verdict import judge
@@ -258,10 +258,10 @@ def test_normalised_images_ignore_light_and_background():
     rgb = np.kron(rng.integers(60, 180, (16, 16, 3)), np.ones((6, 6, 1))).astype(np.uint8)
     mask = np.zeros(rgb.shape[:2], bool)
     mask[20:70, 15:80] = True
-    plain = normalized(rgb, mask, 1.0)
-    lit = normalized(
-        np.where(mask[..., None], rgb * 0.9 + 20, rng.integers(0, 255, rgb.shape)).astype(np.uint8), mask, 1.0
-    )
+    on_mask = Normalizer(mask, 1.0)
+    plain = on_mask.normalized(opponent(rgb))
+    other = np.where(mask[..., None], rgb * 0.9 + 20, rng.integers(0, 255, rgb.shape)).astype(np.uint8)
+    lit = on_mask.normalized(opponent(other))
     assert np.corrcoef(plain[mask].ravel(), lit[mask].ravel())[0, 1] > 0.99
     assert (plain[~mask] == 0).all()
 

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from toolkit.geometry import cubes
 from toolkit.perception.fusion import FusedModel, Patch
 from toolkit.perception.lighting import relit
-from toolkit.perception.refiners.comparing.images import normalized, opponent
-from toolkit.types import Float, Mask
+from toolkit.perception.refiners.comparing.images import Normalizer, opponent
+from toolkit.types import Float
 
 SHAPE_POINTS = 1024
 """Points of the whole model used for silhouettes and rendering."""
@@ -34,10 +34,10 @@ _LOW_M = 0.005
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A patch, cut out; (h, w, ...) images, and the rows that are compared."""
+    """A patch, cut out: (h, w, 3) opponent colours and normals, and the rows that are compared."""
 
-    rgb: Float
-    mask: Mask
+    colors: Float
+    levels: tuple[Normalizer, ...]
     normals: Float
     pixels: np.ndarray
     points: Float
@@ -95,9 +95,10 @@ class Cloud:
         if index not in self._prepared:
             self._prepared[index] = self._prepare(self.model.patches[index])
         p = self._prepared[index]
-        image = p.rgb * relit(self.light, p.normals.reshape(-1, 3), R).reshape(*p.mask.shape, 1)
+        factor = relit(self.light, p.normals.reshape(-1, 3), R).astype(np.float32)
+        image = p.colors * factor.reshape(*p.colors.shape[:2], 1)
         x, y = p.pixels.T
-        values = [normalized(image, p.mask, sigma)[y, x] for sigma in self._levels_px]
+        values = [level.normalized(image)[y, x] for level in p.levels]
         return p.points, np.stack(values), p.weights * (p.normals[y, x] @ direction > FACING_AWAY)
 
     def _prepare(self, patch: Patch) -> _Prepared:
@@ -112,8 +113,8 @@ class Cloud:
         normals = cv2.GaussianBlur(measured, (0, 0), _NORMAL_BLUR_PX)
         normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
         return _Prepared(
-            rgb=patch.rgb[box].astype(np.float32),
-            mask=patch.mask[box],
+            colors=opponent(patch.rgb[box]),
+            levels=tuple(Normalizer(patch.mask[box], sigma) for sigma in self._levels_px),
             normals=normals,
             pixels=patch.pixels[rows] - [left, top],
             points=(patch.points[rows] - self.center).astype(np.float32),

@@ -19,7 +19,7 @@ from toolkit.perception.refiners.comparing.render import Score, score_poses
 from toolkit.types import Float
 
 _PLACINGS = 4
-_MIDDLE = np.array([0.5, 0.5])
+_MIDDLE = np.array([[0.5, 0.5]])
 _BORDERS = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5)])
 _SHIFTED = 72
 """Most likely turns that are also placed with other points of the boxes meeting."""
@@ -142,46 +142,50 @@ def best_agreement(cloud: Cloud, goal: GoalView, search: Search) -> float | None
 
 def _tried(cloud: Cloud, goal: GoalView, R: Float) -> tuple[Float, Float, Float]:
     """(H, 3, 3) turns, (H, 3) places on the table and (H,) scores of the hypotheses that (B, 3, 3) turns give."""
-    places = _placed(cloud, goal, R, _MIDDLE)
+    (places,) = _placed(cloud, goal, R, _MIDDLE)
     total = np.asarray(_agreement(cloud, goal, R, places).total)
     if not goal.cut_off:
         return R, places, total
     # Of an object that is partly covered, the box says where some of its sides are, but not which.
     likely = R[np.argsort(-total, kind="stable")[:_SHIFTED]]
     turns = np.tile(likely, (len(_BORDERS), 1, 1))
-    shifted = np.concatenate([_placed(cloud, goal, likely, anchor) for anchor in _BORDERS])
+    shifted = _placed(cloud, goal, likely, _BORDERS).reshape(-1, 3)
     totals = np.asarray(_agreement(cloud, goal, turns, shifted).total)
     return np.concatenate([R, turns]), np.concatenate([places, shifted]), np.concatenate([total, totals])
 
 
-def _placed(cloud: Cloud, goal: GoalView, R: Float, anchor: Float) -> Float:
-    """(B, 3) places of the centre that put the model, turned by (B, 3, 3) R, on the table and over the mask.
+def _placed(cloud: Cloud, goal: GoalView, R: Float, anchors: Float) -> Float:
+    """(A, B, 3) places of the centre that put the model, turned by (B, 3, 3) R, on the table and over the mask.
 
     Closed form and repeated: the offset between the boxes of the projected model and of the mask, taken back to the
-    table's plane. The model's lowest point stays as high as it is now. The (2,) `anchor` says which points of the two
+    table's plane. The model's lowest point stays as high as it is now. The (A, 2) `anchors` say which points of the two
     boxes shall meet: 0 their left or upper sides, 1 their right or lower ones.
     """
     camera = goal.frame.camera
     T = invert(camera.T_world_camera)
     y, x = np.nonzero(goal.mask)
-    target = (1 - anchor) * [x.min(), y.min()] + anchor * [x.max(), y.max()]
+    targets = (1 - anchors) * [x.min(), y.min()] + anchors * [x.max(), y.max()]
     some = cloud.points[:: len(cloud.points) // _PLACED_POINTS].astype(np.float64)
-    turned = some @ np.swapaxes(R, 1, 2)
+    turned = some @ np.swapaxes(T[:3, :3] @ R, 1, 2)
+    # One array per coordinate, so that boxes are taken along what lies together.
+    flat, deep = np.moveaxis(turned[..., :2], 2, 1).copy(), turned[:, None, :, 2].copy()
     heights = cloud.table - (cloud.points @ R[:, 2].T).min(axis=0)
-    ray = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K) @ np.array([*target, 1])
+    pixels = np.column_stack([targets, np.ones(len(targets))])
+    rays = pixels @ (camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)).T
     eye = camera.T_world_camera[:3, 3]
-    t = eye + ray * ((heights - eye[2]) / ray[2])[:, None]
+    t = eye + rays[:, None] * ((heights - eye[2]) / rays[:, 2:])[..., None]
     focal = np.diagonal(camera.K)[:2]
-    for _ in range(_PLACINGS):
-        seen = (turned + t[:, None]) @ T[:3, :3].T + T[:3, 3]
-        pixels = seen[..., :2] / seen[..., 2:] * focal + camera.K[:2, 2]
-        offset = target - (1 - anchor) * pixels.min(axis=1) - anchor * pixels.max(axis=1)
-        center = t @ T[:3, :3].T + T[:3, 3]
-        derivative = np.zeros((len(R), 2, 3))
-        derivative[:, [0, 1], [0, 1]] = focal / center[:, 2:]
-        derivative[:, :, 2] = -center[:, :2] / center[:, 2:] ** 2 * focal
-        in_plane = (derivative @ T[:3, :3])[:, :, :2]
-        t[:, :2] += np.linalg.solve(in_plane, offset[..., None])[..., 0]
+    for target, anchor, place in zip(targets, anchors, t, strict=True):
+        for _ in range(_PLACINGS):
+            center = place @ T[:3, :3].T + T[:3, 3]
+            seen = (flat + center[:, :2, None]) / (deep + center[:, None, 2:])
+            low, high = (edge * focal + camera.K[:2, 2] for edge in (seen.min(axis=2), seen.max(axis=2)))
+            offset = target - (1 - anchor) * low - anchor * high
+            derivative = np.zeros((len(R), 2, 3))
+            derivative[:, [0, 1], [0, 1]] = focal / center[:, 2:]
+            derivative[:, :, 2] = -center[:, :2] / center[:, 2:] ** 2 * focal
+            in_plane = (derivative @ T[:3, :3])[:, :, :2]
+            place[:, :2] += np.linalg.solve(in_plane, offset[..., None])[..., 0]
     return t
 
 

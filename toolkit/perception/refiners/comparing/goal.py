@@ -11,7 +11,7 @@ import numpy as np
 from toolkit.geometry import invert
 from toolkit.perception.jax_geometry import on_device
 from toolkit.perception.refiners.comparing.align import GoalImage
-from toolkit.perception.refiners.comparing.images import normalized, opponent
+from toolkit.perception.refiners.comparing.images import Normalizer, opponent
 from toolkit.perception.refiners.comparing.render import GRID, GoalGrid
 from toolkit.types import Float, Frame, Image, Mask, Segment
 
@@ -20,7 +20,10 @@ LEVELS_PX = (2.5, 1.2, 0.6)
 
 _CROP_PX = 192
 _CONTOUR = 128
-_GRID_MARGIN, _CROP_MARGIN = 0.25, 0.25
+_MARGIN = 0.25
+_SMOOTH = 0.4
+"""Blur before an image is made smaller, in pixels of the smaller one; four times that is all that a sample sees."""
+
 _CUT_OFF_SHARE = 0.08
 
 
@@ -50,7 +53,39 @@ def view_goal(frame: Frame, segment: Segment, others: Sequence[Segment]) -> Goal
         hidden |= other.mask
     hidden &= ~segment.mask
     cut_off = _cut_off(segment.mask, hidden) > _CUT_OFF_SHARE
-    return GoalView(frame, segment.mask, cut_off, _grid(frame, segment, hidden), _image(frame, segment, hidden))
+    cut = _Cut.of(frame, segment, hidden)
+    return GoalView(frame, segment.mask, cut_off, _grid(cut), _image(cut, frame))
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """The part of the goal that an object's grid and crop are made of.
+
+    Attributes:
+        rgb: (h, w, 3) of the image.
+        mask: (h, w) bool, the object.
+        hidden: (h, w) bool, what other objects may hide.
+        corner: pixel of the image that is the part's first one.
+        origin: outer corner of the square around the object, in pixels of the part.
+        side: of the square, pixels.
+    """
+
+    rgb: Image
+    mask: Mask
+    hidden: Mask
+    corner: Float
+    origin: Float
+    side: float
+
+    @classmethod
+    def of(cls, frame: Frame, segment: Segment, hidden: Mask) -> _Cut:
+        origin, side = _square(segment, _MARGIN)
+        seen = np.ceil(4 * _SMOOTH * side / GRID) + 2
+        x0, y0 = np.maximum(origin - seen, 0).astype(int)
+        x1, y1 = np.ceil(origin + max(side, _CROP_PX) + seen).astype(int)
+        part = np.s_[y0:y1, x0:x1]
+        corner = np.array([x0, y0], float)
+        return cls(frame.rgb[part], segment.mask[part], hidden[part], corner, origin - corner, side)
 
 
 def _cut_off(mask: Mask, hidden: Mask) -> float:
@@ -69,18 +104,17 @@ def _square(segment: Segment, margin: float) -> tuple[Float, float]:
     return np.array([x0 + x1, y0 + y1]) / 2 - side / 2, side
 
 
-def _grid(frame: Frame, segment: Segment, hidden: Mask) -> GoalGrid:
-    origin, side = _square(segment, _GRID_MARGIN)
-    scale = GRID / side
-    color = _resampled(np.where(segment.mask[..., None], opponent(frame.rgb), 0), origin, scale, GRID)
-    mask = _resampled(segment.mask.astype(np.float32), origin, scale, GRID)
-    covered = _resampled(hidden.astype(np.float32), origin, scale, GRID)
+def _grid(cut: _Cut) -> GoalGrid:
+    scale = GRID / cut.side
+    color = _resampled(np.where(cut.mask[..., None], opponent(cut.rgb), 0), cut.origin, scale, GRID)
+    mask = _resampled(cut.mask, cut.origin, scale, GRID)
+    covered = _resampled(cut.hidden, cut.origin, scale, GRID)
     return GoalGrid(
         on_device(color / np.maximum(mask, 0.25)[..., None]),
         on_device(mask > 0.5),
         on_device(covered > 0.25),
         on_device(scale),
-        on_device(origin),
+        on_device(cut.origin + cut.corner),
     )
 
 
@@ -88,22 +122,21 @@ def _resampled(image: Float | Image | Mask, origin: Float, scale: float, size: i
     """(size, size) samples of an image whose square starts at the outer corner `origin`."""
     smooth = np.asarray(image, np.float32)
     if scale < 1:
-        smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), 0.4 / scale), np.float32)
+        smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), _SMOOTH / scale), np.float32)
     offset = 0.5 * scale - origin * scale - 0.5
     matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
     return np.asarray(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR), np.float32)
 
 
-def _image(frame: Frame, segment: Segment, hidden: Mask) -> GoalImage:
-    origin, side = _square(segment, _CROP_MARGIN)
-    scale = min(1.0, _CROP_PX / side)
+def _image(cut: _Cut, frame: Frame) -> GoalImage:
+    scale = min(1.0, _CROP_PX / cut.side)
     # At natural size the crop keeps the pixel grid: nothing is interpolated.
-    origin = np.floor(origin) if scale == 1.0 else origin
-    start = origin - 0.5 if scale == 1.0 else origin
-    rgb = np.rint(_resampled(frame.rgb, start, scale, _CROP_PX)).clip(0, 255).astype(np.uint8)
-    mask = _resampled(segment.mask.astype(np.float32), start, scale, _CROP_PX) > 0.5
-    covered = _resampled(hidden.astype(np.float32), start, scale, _CROP_PX) > 0.25
-    values = np.stack([normalized(rgb, mask, sigma * scale) for sigma in LEVELS_PX])
+    origin = np.floor(cut.origin) - 0.5 if scale == 1.0 else cut.origin
+    rgb = np.rint(_resampled(cut.rgb, origin, scale, _CROP_PX)).clip(0, 255).astype(np.uint8)
+    mask = _resampled(cut.mask, origin, scale, _CROP_PX) > 0.5
+    covered = _resampled(cut.hidden, origin, scale, _CROP_PX) > 0.25
+    colors, start = opponent(rgb), origin + cut.corner
+    values = np.stack([Normalizer(mask, sigma * scale).normalized(colors) for sigma in LEVELS_PX])
     outside = cv2.distanceTransform((~(mask | covered)).astype(np.uint8), cv2.DIST_L2, 5)
     contour, normals = _outline(mask, covered, frame, start, scale)
     weight = np.zeros(_CONTOUR, np.float32)

@@ -20,19 +20,29 @@ def opponent(rgb: Image | Float) -> Float:
     return np.stack([(r + g + b) / 3, (r - g) / 2, (r + g) / 4 - b / 2], axis=-1)
 
 
-def normalized(rgb: Image | Float, mask: Mask, sigma: float) -> Float:
-    """(H, W, 3) float32 opponent colours, blurred by `sigma` pixels and normalised locally, on the mask only.
+class Normalizer:
+    """Blurs opponent colours and normalises them locally, on one mask only.
 
     Mean and deviation are taken over a Gaussian neighbourhood inside the mask, so that neither light nor what lies
-    beside the object matters. 0 off the mask.
+    beside the object matters: normalised convolution (Knutsson and Westin, CVPR 1993), what is blurred over how much
+    of it was there.
+
+    Args:
+        mask: (H, W) of the object.
+        sigma: blur, pixels.
     """
-    weight = mask.astype(np.float32)
-    image = opponent(rgb) * weight[..., None]
-    wide = _WINDOW * max(sigma, 0.7)
-    # Normalised convolution (Knutsson and Westin, CVPR 1993): what is blurred, over how much of it was there.
-    share, wide_share = (np.maximum(cv2.GaussianBlur(weight, (0, 0), s), 1e-3)[..., None] for s in (sigma, wide))
-    blurred = cv2.GaussianBlur(image, (0, 0), sigma) / share
-    mean = cv2.GaussianBlur(blurred * weight[..., None], (0, 0), wide) / wide_share
-    centered = (blurred - mean) * weight[..., None]
-    variance = cv2.GaussianBlur(centered * centered, (0, 0), wide) / wide_share
-    return centered / np.sqrt(variance + _NOISE**2)
+
+    def __init__(self, mask: Mask, sigma: float) -> None:
+        self._weight = mask.astype(np.float32)[..., None]
+        self._sigma, self._wide = sigma, _WINDOW * max(sigma, 0.7)
+        self._share, self._wide_share = (
+            np.maximum(cv2.GaussianBlur(self._weight, (0, 0), s), 1e-3)[..., None] for s in (self._sigma, self._wide)
+        )
+
+    def normalized(self, colors: Float) -> Float:
+        """(H, W, 3) float32 of an (H, W, 3) float32 image of opponent colours; 0 off the mask."""
+        blurred = cv2.GaussianBlur(colors * self._weight, (0, 0), self._sigma) / self._share
+        mean = cv2.GaussianBlur(blurred * self._weight, (0, 0), self._wide) / self._wide_share
+        centered = (blurred - mean) * self._weight
+        variance = cv2.GaussianBlur(centered * centered, (0, 0), self._wide) / self._wide_share
+        return centered / np.sqrt(variance + _NOISE**2)

@@ -1,7 +1,8 @@
-"""Scores poses by rendering the fused model into the goal: silhouette and colour, all hypotheses in one batch (JAX)."""
+"""Scores poses by rendering the fused model into the goal: silhouette and colour, one pose after another (JAX)."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
+from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.refiners.comparing.cloud import FACING_AWAY
 
 GRID = 48
@@ -19,6 +21,8 @@ _TOLERANCE_M = 0.012
 
 _BLUR_CELLS = 5
 _NOISE = 4.0
+_AT_ONCE = 8
+"""Poses whose grids fit into a core's cache together; all of them at once take twice the time."""
 
 
 class GoalGrid(NamedTuple):
@@ -74,9 +78,8 @@ def score_poses(
     Only `valid` points count; `shade` is the factor of their brightness in every pose. What is not `known`, or seen
     from behind, belongs to the silhouette but has no colour.
     """
-    return jax.vmap(
-        lambda pose, factor: _score(points, normals, colors * factor[:, None], valid, known, K, pose, goal)
-    )(poses, shade)
+    score = partial(_score, points, normals, colors, valid, known, K, goal)
+    return jax.lax.map(lambda one: score(*one), (poses, shade), batch_size=_AT_ONCE)
 
 
 def _score(
@@ -86,26 +89,31 @@ def _score(
     valid: Bool[Array, " N"],
     known: Bool[Array, " N"],
     K: Float[Array, "3 3"],
-    pose: Float[Array, "4 4"],
     goal: GoalGrid,
+    pose: Float[Array, "4 4"],
+    shade: Float[Array, " N"],
 ) -> Score:
-    camera = points @ pose[:3, :3].T + pose[:3, 3]
-    z = jnp.maximum(camera[:, 2], 1e-3)
-    pixels = camera[:, :2] / z[:, None] * jnp.array([K[0, 0], K[1, 1]]) + K[:2, 2]
-    cell = jnp.floor((pixels - goal.origin) * goal.scale).astype(jnp.int32)
-    inside = valid & (cell >= 0).all(axis=1) & (cell < GRID).all(axis=1)
+    R = pose[:3, :3]
+    x, y, z = (turned + shift for turned, shift in zip(rotated(R, points), pose[:3, 3], strict=True))
+    ahead = jnp.maximum(z, 1e-3)
+    pixels = (x / ahead * K[0, 0] + K[0, 2], y / ahead * K[1, 1] + K[1, 2])
+    across, down = (
+        jnp.floor((pixel - origin) * goal.scale).astype(jnp.int32)
+        for pixel, origin in zip(pixels, goal.origin, strict=True)
+    )
+    inside = valid & (across >= 0) & (down >= 0) & (across < GRID) & (down < GRID)
     outside = (valid & ~inside).sum() / jnp.maximum(valid.sum(), 1)
-    index = jnp.where(inside, cell[:, 1] * GRID + cell[:, 0], GRID * GRID)
-    depth = jnp.full(GRID * GRID + 1, 1e3).at[index].min(z)[:-1].reshape(GRID, GRID)
+    index = jnp.where(inside, down * GRID + across, GRID * GRID)
+    depth = jnp.full(GRID * GRID + 1, 1e3).at[index].min(ahead)[:-1].reshape(GRID, GRID)
     nearest = -_most(-depth)
-    seen = inside & (z < jnp.append(nearest.ravel(), 0.0)[index] + _TOLERANCE_M)
-    away = ((normals @ pose[:3, :3].T) * camera).sum(axis=1) / jnp.linalg.norm(camera, axis=1)
-    front = seen & known & (away < -FACING_AWAY)
-    layers = jnp.concatenate([seen[:, None], front[:, None], colors * front[:, None]], axis=1)
-    cells = jnp.zeros((GRID * GRID + 1, 5)).at[index].add(layers)[:-1].reshape(GRID, GRID, 5)
-    weight = cells[..., 1]
-    color = cells[..., 2:] / jnp.maximum(weight, 1)[..., None]
-    painted = (cells[..., 0] > 0).astype(jnp.float32)
+    seen = inside & (ahead < jnp.append(nearest.ravel(), 0.0)[index] + _TOLERANCE_M)
+    along = sum(n * p for n, p in zip(rotated(R, normals), (x, y, z), strict=True))
+    front = seen & known & (along / jnp.sqrt(x**2 + y**2 + z**2) < -FACING_AWAY)
+    light = front * shade
+    layers = jnp.stack([seen.astype(light.dtype), front.astype(light.dtype), *(light * c for c in colors.T)], axis=1)
+    cells = jnp.zeros((GRID * GRID + 1, 5)).at[index].add(layers)[:-1].T.reshape(5, GRID, GRID)
+    weight, color = cells[1], cells[2:] / jnp.maximum(cells[1], 1)
+    painted = (cells[0] > 0).astype(jnp.float32)
     # Closing: points are sparser than cells here and there.
     shape = -_most(-_most(painted))
     free = 1 - goal.hidden
@@ -113,33 +121,32 @@ def _score(
     iou = both / jnp.maximum((shape * free).sum() * (1 + outside) + goal.mask.sum() - both, 1)
     overlap = (weight > 0) * goal.mask
     share = overlap.sum() / jnp.maximum((painted * goal.mask).sum(), 1)
-    correlation, difference = _agreement(color, goal.color, overlap)
+    correlation, difference = _agreement(color, jnp.moveaxis(goal.color, -1, 0), overlap)
     return Score(iou + share * (correlation - difference), iou, share, correlation, difference)
 
 
 def _agreement(
-    a: Float[Array, "G G 3"], b: Float[Array, "G G 3"], weight: Float[Array, "G G"]
+    a: Float[Array, "3 G G"], b: Float[Array, "3 G G"], weight: Float[Array, "G G"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Correlation of locally centred colours, and mean difference of the colours, both weighted."""
     count = jnp.maximum(weight.sum(), 1)
-    local_a, local_b = _centered(a, weight), _centered(b, weight)
+    share = jnp.maximum(_box(weight[None]), 1e-6)
+    local_a, local_b = ((image - _box(image * weight) / share) * weight for image in (a, b))
     # Noise in both: where there is no texture, nothing correlates and nothing contradicts.
     floor = _NOISE**2 * count
     correlation = (local_a * local_b).sum() / jnp.sqrt(((local_a**2).sum() + floor) * ((local_b**2).sum() + floor))
-    gap = jnp.abs(a - b) * jnp.array([0.5, 1.0, 1.0])
-    return correlation, (gap.sum(axis=-1) * weight).sum() / count / 128
+    gap = jnp.abs(a - b) * jnp.array([0.5, 1.0, 1.0])[:, None, None]
+    return correlation, (gap * weight).sum() / count / 128
 
 
-def _centered(image: Float[Array, "G G 3"], weight: Float[Array, "G G"]) -> Float[Array, "G G 3"]:
-    total, share = _box(image * weight[..., None]), _box(weight[..., None])
-    return (image - total / jnp.maximum(share, 1e-6)) * weight[..., None]
-
-
-def _box(image: Float[Array, "G G C"]) -> Float[Array, "G G C"]:
+def _box(image: Float[Array, "C G G"]) -> Float[Array, "C G G"]:
     size = 2 * _BLUR_CELLS + 1
-    rows = jax.lax.reduce_window(image, 0.0, jax.lax.add, (size, 1, 1), (1, 1, 1), "SAME")
-    return jax.lax.reduce_window(rows, 0.0, jax.lax.add, (1, size, 1), (1, 1, 1), "SAME")
+    rows = jax.lax.reduce_window(image, 0.0, jax.lax.add, (1, size, 1), (1, 1, 1), "SAME")
+    return jax.lax.reduce_window(rows, 0.0, jax.lax.add, (1, 1, size), (1, 1, 1), "SAME")
 
 
 def _most(image: Float[Array, "G G"]) -> Float[Array, "G G"]:
-    return jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, (3, 3), (1, 1), "SAME")
+    """The largest value of every cell and its eight neighbours."""
+    padded = jnp.pad(image, 1, constant_values=-jnp.inf)
+    rows = jnp.maximum(jnp.maximum(padded[:-2], padded[1:-1]), padded[2:])
+    return jnp.maximum(jnp.maximum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
