@@ -21,7 +21,7 @@ from toolkit.types import Float
 _PLACINGS = 4
 _MIDDLE = np.array([[0.5, 0.5]])
 _BORDERS = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5)])
-_SHIFTED = 72
+_SHIFTED = 24
 """Most likely turns that are also placed with other points of the boxes meeting."""
 _PLACED_POINTS = 256
 _DISTINCT_RAD, _DISTINCT_M = np.radians(8), 0.01

@@ -21,7 +21,7 @@ _TOLERANCE_M = 0.012
 
 _BLUR_CELLS = 5
 _NOISE = 4.0
-_AT_ONCE = 8
+_AT_ONCE = 24
 """Poses whose grids fit into a core's cache together; all of them at once take twice the time."""
 
 
