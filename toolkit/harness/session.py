@@ -35,7 +35,6 @@ class Session:
         require_ready([cell])
         self._runner = make_runner(cell, cache=None)
         self._scene: Scene | None = None
-        self._built: Database | None = None
         self._of_frames: list[Finding] = []
         self.findings: list[Finding] = []
 
@@ -51,12 +50,12 @@ class Session:
             RefusedError: the frames cannot be right.
             ToolkitError: a stage refuses its input.
         """
-        self._scene = self._built = None
+        self._scene = None
         self._of_frames = check_current(frames)
         self.findings = self._of_frames
         refuse(self.findings)
         pipeline = self._runner.pipeline
-        built = self._built = pipeline.build_database(usable(frames, self.findings))
+        built = pipeline.build_database(usable(frames, self.findings))
         self._scene = pipeline.scene(built)
         return built
 
@@ -68,9 +67,6 @@ class Session:
             ToolkitError: no database was built yet, or a stage refuses its input.
         """
         scene = self.scene
-        if self._built is not None and scene.database is not self._built:
-            # The last goal showed instances to be one object, which the next one need not.
-            scene = self._scene = self._runner.pipeline.scene(self._built)
         # In the table's own frame, where it has been found already.
         level = scene.database.level
         in_level = goal.moved(invert(scene.database.T_world_level))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -134,9 +134,14 @@ def united(models: Sequence[FusedModel]) -> FusedModel:
 class Models:
     """The fused models of a database, made when first asked for."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, known: Mapping[int, FusedModel | Failure] | None = None) -> None:
         self._database = database
-        self._known: dict[int, FusedModel | Failure] = {}
+        self._known = dict(known or {})
+
+    def joined(self, database: Database, groups: Sequence[Sequence[int]]) -> Models:
+        """Those of the same database with the instances of each group joined; models of all others are these."""
+        changed = {instance for group in groups for instance in group}
+        return Models(database, {i: model for i, model in self._known.items() if i not in changed})
 
     def get(self, instance: int) -> FusedModel | Failure:
         """The model of one instance, or why there is none."""

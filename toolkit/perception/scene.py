@@ -18,9 +18,16 @@ from toolkit.perception.ranking import rank
 from toolkit.perception.search import Accepted, References, search_candidates
 from toolkit.types import Failure, Frame, PoseEstimate, Segment
 
+Groups = tuple[tuple[int, ...], ...]
+"""Instances that are one object, group by group."""
+
 
 class Scene:
     """A database and what is made of it on the way: features of its regions and fused models, kept for further goals.
+
+    Attributes:
+        database: its instances as the last goal joined them.
+        models: of those instances.
 
     Stages and models know the table's own frame only; goals come from the user's world and motions go back to it.
 
@@ -30,10 +37,10 @@ class Scene:
     """
 
     def __init__(self, parts: Parts, database: Database) -> None:
-        self.database = database
-        self.models = Models(database.level)
         self._parts = parts
         self._references = References(database.level, parts.stages.matcher, parts.settings.crop_margin)
+        self._joined: dict[Groups, tuple[Database, Models]] = {(): (database, Models(database.level))}
+        self._join(())
 
     def estimate(self, goal: Frame) -> list[PoseEstimate]:
         """Pose estimation (Sec. Method A): one estimate for every object segmented in the goal image.
@@ -51,8 +58,18 @@ class Scene:
         """What was seen of every instance, as the last goal joined them."""
         return clouds(self.database, self.models)
 
+    def _join(self, groups: Groups) -> None:
+        """Take the instances of each group for one object, and no others: what the last goal joined comes apart."""
+        if groups not in self._joined:
+            built, models = self._joined[()]
+            database = built.joined(groups)
+            self._joined[groups] = database, models.joined(database.level, groups)
+        self.database, self.models = self._joined[groups]
+        self._references.database = self.database.level
+
     def _estimate(self, goal: Frame) -> list[PoseEstimate]:
         """The estimates in the table's own frame, in which the goal's camera is given."""
+        self._join(())
         parts, database = self._parts, self.database.level
         with parts.meter.stage("registration"):
             goal = parts.stages.registration.locate(goal, database.frames)
@@ -60,12 +77,9 @@ class Scene:
             segments = parts.stages.goal_segmenter.segment(goal, database.frames)
         with parts.meter.stage("explainer"):
             explanation = parts.stages.explainer.explain(ExplainTask(goal, tuple(segments), self.models))
-        if explanation is not None and explanation.joined:
-            self.database = self.database.joined(explanation.joined)
-            database = self.database.level
-            self.models = Models(database)
-            self._references.database = database
         if explanation is not None:
+            self._join(explanation.joined)
+            database = self.database.level
             segments = [*(p.segment for p in explanation.placements), *explanation.unknown]
         if not segments:
             return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -10,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.perception.robust import deviation
-from toolkit.perception.tabletop.appearance import TableView, fill
+from toolkit.perception.tabletop.appearance import TableScan, TableView, fill, render_table
 from toolkit.perception.tabletop.light import relit
-from toolkit.types import Float, Image, Mask
+from toolkit.types import Float, Frame, Image, Mask
 
 _LOG_OFFSET = 8.0
 """Grey levels added before the logarithm, so that noise in dark pixels counts no more than elsewhere."""
@@ -40,6 +41,13 @@ class Difference:
 
     score: Float
     relit: Float
+
+
+@lru_cache(maxsize=2)
+def off_the_table(frame: Frame, scan: TableScan) -> tuple[TableView, Difference]:
+    """The empty table in an image's camera, and the image against it. The last images' are kept."""
+    view = render_table(scan, frame.camera)
+    return view, difference(frame.rgb, view)
 
 
 def difference(rgb: Image, view: TableView) -> Difference:

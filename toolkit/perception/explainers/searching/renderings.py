@@ -66,14 +66,15 @@ def render(surface: Surface, T_goal_current: Float, camera: Camera, goal: Eviden
     depth = points[:, 2]
     ahead = depth > 1e-2
     pixels = points[:, :2] / np.where(ahead, depth, 1.0)[:, None] * np.diagonal(goal.K)[:2] + goal.K[:2, 2]
+    column, row = np.rint(pixels).astype(np.int64).T
     reach = max(0, int(np.ceil(surface.spacing * goal.K[0, 0] / max(float(np.median(depth)), 1e-2) / 2 - 0.5)))
     height, width = goal.background.shape
-    steps = np.array([(x, y) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
-    cells = np.rint(pixels).astype(np.int64)[:, None] + steps
-    inside = ahead[:, None] & (cells >= 0).all(axis=2) & (cells < [width, height]).all(axis=2)
-    index = (cells[..., 1] * width + cells[..., 0])[inside]
+    right, down = (step.ravel() for step in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2))
+    columns, rows = column[:, None] + right, row[:, None] + down
+    inside = ahead[:, None] & (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    index = (rows * width + columns)[inside]
     # Of two points of one surface that reach a pixel the one that is centred on it shows its colour.
-    order_depth = (depth[:, None] + 1e-4 * np.abs(steps).sum(axis=1))[inside]
+    order_depth = (depth[:, None] + 1e-4 * (np.abs(right) + np.abs(down)))[inside]
     source = np.broadcast_to(np.arange(len(points))[:, None], inside.shape)[inside]
     nearest = np.full(height * width, np.inf)
     np.minimum.at(nearest, index, order_depth)

@@ -54,11 +54,13 @@ class Scorer:
 
     def __init__(self, goal: Evidence, T_camera_table: Float) -> None:
         pixels = np.column_stack([goal.colours.reshape(-1, 3), goal.background.ravel(), goal.depth.ravel()])
-        self._goal = (
-            pad_rows(pixels.astype(np.float32), _LEAST_PIXELS),
-            np.array(goal.background.shape, np.int32),
-            goal.K.astype(np.float32),
-            T_camera_table.astype(np.float32),
+        self._goal = jax.device_put(
+            (
+                pad_rows(pixels.astype(np.float32), _LEAST_PIXELS),
+                np.array(goal.background.shape, np.int32),
+                goal.K.astype(np.float32),
+                T_camera_table.astype(np.float32),
+            )
         )
 
     def score(self, sample: Sample, turns: Float, places: Float) -> Float:
