@@ -25,7 +25,7 @@ home: [0.0, -1.9, 1.9, -1.5708, -1.5708, 0.0]
 speed: 3.15
 acceleration: 5.0
 hand: tool0
-camera: {link: tool0, xyz: [0.0, 0.06, 0.0]}
+camera: {link: tool0, xyz: [0.0, 0.06, 0.0], rpy: [0.35, 0.0, 0.0]}
 gripper:
   closes: [1, 0, 0]
   approaches: [0, 0, 1]

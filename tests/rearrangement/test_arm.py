@@ -11,7 +11,7 @@ import trimesh
 from toolkit.data.objects import load_object_set
 from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
-from toolkit.geometry import make_transform, transform_points
+from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.rearrangement.executors.arm import Arm, ArmConfig
 from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.moves import PickPlace
@@ -61,9 +61,15 @@ def moves(scene, arm, count):
         number = order[turn % len(order)]
         shift = np.append(rng.uniform([-0.3, -0.15], [0.3, 0.2]) - arm.state()[number][:2, 3], 0)
         T = make_transform(np.eye(3), shift)
-        wanted = T @ arm.state()[number]
-        outcome = arm.pick_place(request(scene, arm, number, T))
+        before = arm.state()[number]
+        wanted = T @ before
+        asked = request(scene, arm, number, T)
+        outcome = arm.pick_place(asked)
         assert outcome.object == number
+        if outcome.T_moved is not None:  # what the camera says, against the truth
+            middle, moved = asked.points.mean(axis=0), arm.state()[number] @ invert(before)
+            off = transform_points(outcome.T_moved, middle) - transform_points(moved, middle)
+            assert np.linalg.norm(off) < 0.005
         if outcome.failure is None:
             assert np.linalg.norm(arm.state()[number][:3, 3] - wanted[:3, 3]) <= arm.config.off_m
         else:
@@ -86,6 +92,21 @@ def test_moves_succeed_touch_nothing_else_and_repeat(scene, arm):
     for number, pose in again.state().items():
         np.testing.assert_array_equal(pose, states[0][number])
     again.close()
+
+
+def test_the_simulator_s_truth_can_be_asked_for(scene):
+    told = Arm(ArmConfig(robot="panda", look="measured"))
+    told.begin(scene)
+    known = 0
+    before = told.state()
+    for outcome in moves(scene, told, 2):
+        if outcome.T_moved is not None:
+            moved = told.state()[outcome.object] @ invert(before[outcome.object])
+            np.testing.assert_allclose(outcome.T_moved, moved, atol=1e-3)
+            known += 1
+        before = told.state()
+    told.close()
+    assert known > 0
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made_plans import HOME, LIMITS, between, plan
+from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform
@@ -112,11 +113,9 @@ def test_the_simulated_arm_does_what_a_driver_is_asked_for(simulated):
     for opening in (0.03, 0.06):
         ended = perform(driver, Grip(opening_m=opening, phase="opening", effort=10.0), SMALL)
         assert ended.opening_m == pytest.approx(opening, abs=4e-3)
-    seen_from = driver.picture()  # 6 cm beside the hand's axis, and looking where the hand points
-    hand = bench.robot.T_world_hand()
-    np.testing.assert_allclose(
-        invert(hand) @ seen_from, make_transform(np.eye(3), np.array([0.06, 0, 0.04])), atol=1e-6
-    )
+    seen_from = driver.picture()  # 7 cm beside the hand's axis, and looking toward where the fingers meet
+    mounted = make_transform(Rotation.from_euler("y", -0.35).as_matrix(), np.array([0.07, 0, 0]))
+    np.testing.assert_allclose(invert(bench.robot.T_world_hand()) @ seen_from, mounted, atol=1e-6)
 
 
 def test_ctrl_c_stops_the_simulated_arm_in_its_tracks(simulated):

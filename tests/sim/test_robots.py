@@ -157,6 +157,11 @@ WRONG = {
         "its camera sees the table",
         "0% of its camera's picture show the table",
     ),
+    "a camera that looks past the fingers": (
+        {"camera__rpy": [0.0, 0.35, 0.0]},
+        "its camera sees what it holds",
+        "its camera sees 0% of where an object is held",
+    ),
 }
 
 
@@ -186,10 +191,10 @@ def test_the_command_line_checks_a_folder(folder):
 
     done = toolkit("check", "robot", folder)
     assert done.returncode == 0, done.stderr
-    assert "passes all 4 checks" in done.stdout
+    assert "passes all 5 checks" in done.stdout
     edit(folder, gripper__stroke_m=0.1)
     done = toolkit("check", "robot", folder)
-    assert done.returncode == 1 and "fails 1 of 4 checks; its gripper opens" in re.sub(r"\s+", " ", done.stderr)
+    assert done.returncode == 1 and "fails 1 of 5 checks; its gripper opens" in re.sub(r"\s+", " ", done.stderr)
     (folder / FILE).unlink()
     done = toolkit("check", "robot", folder)
     assert done.returncode == 2 and "Traceback" not in done.stderr

@@ -24,7 +24,7 @@ from toolkit.data.table import table_files, table_prop
 from toolkit.errors import ToolkitError
 from toolkit.sim.client import Client
 from toolkit.sim.shading import Lamp, ShadowMap, Surface, draw_lamps, mirror_lamps
-from toolkit.sim.world import Light, World
+from toolkit.sim.world import NEAR_M, Light, World
 from toolkit.types import Camera, Float, Frame, Image, Mask
 
 _BACKGROUND = np.array([96, 100, 104], np.uint8)
@@ -69,12 +69,13 @@ class Studio:
     Args:
         scene: what to show.
         cache: where the table's files are kept.
+        near_m: its cameras see nothing nearer than this.
 
     Raises:
         ToolkitError: the renderer does not load here.
     """
 
-    def __init__(self, scene: TabletopScene, cache: Path) -> None:
+    def __init__(self, scene: TabletopScene, cache: Path, near_m: float = NEAR_M) -> None:
         self._scene = scene
         self._conditions = scene.conditions
         self._rng = scene_generator(scene.config, scene.number, "noise")
@@ -82,7 +83,7 @@ class Studio:
         self._goal_light, self._light = (_draw_light(self._rng) if lit else Light() for _ in range(2))
         exposures = [noise.Exposure.draw(self._rng) if exposed else noise.Exposure() for _ in range(2)]
         self._goal_exposure, self._exposure = exposures
-        self._world = World(scene.config.renderer, _ROOM_FAR_M if scene.conditions.background else _FAR_M)
+        self._world = World(scene.config.renderer, _ROOM_FAR_M if scene.conditions.background else _FAR_M, near_m)
         self._add_bodies(cache)
         self._lamps, self._gloss = self._draw_gloss()
 

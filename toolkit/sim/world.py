@@ -18,7 +18,7 @@ from toolkit.sim.bullet import Renderer, pybullet, silence
 from toolkit.sim.client import BASE, Client
 from toolkit.types import Camera, Float, Image
 
-_NEAR_M = 0.2
+NEAR_M = 0.2
 """Far enough that the 24-bit z-buffer resolves less than 0.01 mm at a metre."""
 
 
@@ -43,14 +43,15 @@ class World:
     Args:
         renderer: `tiny` (TinyRenderer, always there) or `egl` (PyBullet's plug-in).
         far_m: nothing further than this is rendered.
+        near_m: nor anything nearer than this.
 
     Raises:
         ToolkitError: `egl` was asked for and does not load on this machine.
     """
 
-    def __init__(self, renderer: Renderer = "tiny", far_m: float = 4.0) -> None:
+    def __init__(self, renderer: Renderer = "tiny", far_m: float = 4.0, near_m: float = NEAR_M) -> None:
         self.client = Client()
-        self._far_m = far_m
+        self._range_m = (near_m, far_m)
         self._renderer = pybullet.ER_TINY_RENDERER
         # TinyRenderer samples a pixel at its top-right corner, not at its centre (tests/sim/test_world.py measures it).
         self._sample_offset = np.array([0.5, -0.5]) if renderer == "tiny" else np.zeros(2)
@@ -111,7 +112,7 @@ class World:
                 width,
                 height,
                 _gl_view(camera),
-                _gl_projection(camera, self._sample_offset / supersample, self._far_m),
+                _gl_projection(camera, self._sample_offset / supersample, self._range_m),
                 lightDirection=list(light.direction),
                 lightAmbientCoeff=light.ambient,
                 lightDiffuseCoeff=light.diffuse,
@@ -121,8 +122,8 @@ class World:
             )
         rgb = np.reshape(np.asarray(rgba, np.uint8), (height, width, 4))[..., :3]
         z = np.reshape(np.asarray(zbuffer, np.float64), (height, width))
-        far = self._far_m
-        depth = far * _NEAR_M / (far - (far - _NEAR_M) * z)
+        near, far = self._range_m
+        depth = far * near / (far - (far - near) * z)
         ids = np.reshape(np.asarray(ids, np.int32), (height, width))
         depth = np.where(ids >= 0, depth, 0).astype(np.float32)
         if supersample == 1:
@@ -153,7 +154,7 @@ def _gl_view(camera: Camera) -> list[float]:
     return T.T.ravel().tolist()
 
 
-def _gl_projection(camera: Camera, sample_offset: Float, far: float) -> list[float]:
+def _gl_projection(camera: Camera, sample_offset: Float, range_m: tuple[float, float]) -> list[float]:
     """OpenGL's matrix for K, whose pixel (0, 0) is the centre of the top-left pixel; column-major.
 
     `sample_offset` (2,) is where the renderer samples, relative to the pixel's centre, pixels.
@@ -164,7 +165,8 @@ def _gl_projection(camera: Camera, sample_offset: Float, far: float) -> list[flo
     P = np.zeros((4, 4))
     P[0, 0], P[1, 1] = 2 * fx / w, 2 * fy / h
     P[0, 2], P[1, 2] = 1 - 2 * (cx + 0.5) / w, 2 * (cy + 0.5) / h - 1
-    P[2, 2] = -(far + _NEAR_M) / (far - _NEAR_M)
-    P[2, 3] = -2 * far * _NEAR_M / (far - _NEAR_M)
+    near, far = range_m
+    P[2, 2] = -(far + near) / (far - near)
+    P[2, 3] = -2 * far * near / (far - near)
     P[3, 2] = -1
     return P.T.ravel().tolist()

@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from toolkit.geometry import invert, transform_points
 from toolkit.plugin_kit.conformance.kit import Outcome, require, run_check
 from toolkit.sim.bullet import require_pybullet
 from toolkit.sim.clearance import Clearance
@@ -27,6 +28,8 @@ _FIELD_DEG = (69.0, 42.0)
 _RAYS = (9, 7)
 _FAR_M = 3.0
 _SEEN = 0.5
+_HELD_M = (0.02, 0.01, 0.04)
+"""Between the fingers, to both sides of its middle and below the tips: where a small object is held."""
 
 
 def check_robot(model: RobotModel) -> list[Outcome]:
@@ -86,10 +89,7 @@ def its_camera_sees_the_table(model: RobotModel) -> str:
     with closing(Client()) as client:
         table = client.add_plane()
         robot = Robot(client, model, np.eye(4))
-        robot.set(np.array(model.home))
-        number = next(number for number, name in robot.names.items() if name == model.file.camera.link)
-        T_world_link = client.pose(robot.body) if number < 0 else client.link(robot.body, number).T_world_link
-        T_world_camera = T_world_link @ model.file.camera.T_link_camera
+        T_world_camera = robot.T_world_camera()
         eye = T_world_camera[:3, 3]
         tangents = (
             np.tan(np.radians(side) / 2) * np.linspace(-1, 1, n) for side, n in zip(_FIELD_DEG, _RAYS, strict=True)
@@ -105,9 +105,31 @@ def its_camera_sees_the_table(model: RobotModel) -> str:
     return f"{shares[0]:.0%} table, {shares[1]:.0%} robot"
 
 
+def its_camera_sees_what_it_holds(model: RobotModel) -> str:
+    """Past the opened fingers, it sees most of where a small object is held; else nothing is seen after a lift."""
+    (x, y, z), grid = _HELD_M, np.linspace(0, 1, 5)
+    with closing(Client()) as client:
+        robot = Robot(client, model, np.eye(4))
+        T_world_camera = robot.T_world_camera()
+        T_world_tips = robot.T_world_hand() @ robot.T_hand_tips(model.gripper.stroke_m)
+        held = np.array(list(product((2 * grid - 1) * x, (2 * grid - 1) * y, grid * z)))
+        points = transform_points(T_world_tips, held)
+        hits = client.rayTestBatch([T_world_camera[:3, 3].tolist()] * len(points), points.tolist())
+    across, down, away = transform_points(invert(T_world_camera), points).T
+    wide, high = np.tan(np.radians(_FIELD_DEG) / 2)
+    inside = (away > 0) & (np.abs(across) < wide * away) & (np.abs(down) < high * away)
+    share = float((inside & np.array([hit[0] < 0 for hit in hits])).mean())
+    require(
+        share >= _SEEN,
+        f"its camera sees {share:.0%} of where an object is held; let it look between the fingertips: see `camera`",
+    )
+    return f"{share:.0%}"
+
+
 CHECKS: tuple[Callable[[RobotModel], str | None], ...] = (
     it_stands_within_its_limits_at_home,
     it_touches_nothing_at_home,
     its_gripper_opens_and_closes,
     its_camera_sees_the_table,
+    its_camera_sees_what_it_holds,
 )

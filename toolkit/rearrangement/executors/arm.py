@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,7 @@ from toolkit.paths import cache_root
 from toolkit.rearrangement.drivers import DriverError
 from toolkit.rearrangement.executors.drivers.simulated import Simulated
 from toolkit.rearrangement.executors.handling.film_set import FilmSet
+from toolkit.rearrangement.executors.handling.looking import Look
 from toolkit.rearrangement.executors.handling.mover import Eye, Mover
 from toolkit.rearrangement.executors.handling.planning import ArmPlanner, ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
@@ -25,7 +27,7 @@ from toolkit.rearrangement.plans import Way
 from toolkit.rearrangement.stages import Executor
 from toolkit.registry import Plugin
 from toolkit.sim.bench import Bench, Touch
-from toolkit.types import Camera, Failure, Float, Frame, Image
+from toolkit.types import Failure, Float, Frame, Image
 
 _RAYS = 64
 _SETTLE_S, _REST_S = 0.5, 0.5
@@ -44,14 +46,19 @@ class ArmConfig(ArmSettings):
     off_deg: float = Field(
         10.0, gt=0, description="An object that ends turned by more than this from how it was to be put has slipped."
     )
+    look: Literal["seen", "measured"] = Field(
+        "seen",
+        description="How it learns how an object lies in the hand and where it came to stand: `seen` by its camera, or "
+        "`measured` in the simulator, as no robot can.",
+    )
 
 
 class Arm(Plugin[ArmConfig], Executor):
     """Picks and places with a simulated Gen3 or Panda; it looks through the predefined views.
 
     Planning knows the seen points and nothing else: what nobody saw below or behind them counts as full. What becomes
-    of a plan is physics. Of an object that was lifted, it measures how it lies in the hand, and of one that was let go,
-    where that left it.
+    of a plan is physics. With the camera in the hand it looks how an object that was lifted lies there, and where one
+    that was let go came to stand.
     """
 
     stage = "executor"
@@ -102,9 +109,8 @@ class Arm(Plugin[ArmConfig], Executor):
         return self._goal
 
     def _shoot(self, T_world_camera: Float) -> Frame:
-        """What the arm's camera, which is like those of the scene, sees from a pose."""
-        like = self._task.cameras[0]
-        return self._studio.frame(Camera(like.K, T_world_camera, like.width, like.height), self._bench.poses())
+        """What the arm's camera sees from a pose."""
+        return self._filming().frame(T_world_camera, self._bench)
 
     @property
     def touches(self) -> list[Touch]:
@@ -157,32 +163,41 @@ class Arm(Plugin[ArmConfig], Executor):
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         self.moves += 1
-        before, touches = self._bench.pose(number), len(self.touches)
+        touches = len(self.touches)
         try:
-            failure = self._carry_out(number, request)
+            failure, moved = self._carry_out(number, request)
         except DriverError as error:  # in a simulator nothing is lost by going on
-            failure = Failure("executor", str(error))
-        seconds, moved = self._bench.seconds - start, self._bench.pose(number) @ invert(before)
-        return Outcome(failure, number, seconds, moved if seconds > 0 else None, len(self.touches) > touches)
+            failure, moved = Failure("executor", str(error)), None
+        return Outcome(failure, number, self._bench.seconds - start, moved, len(self.touches) > touches)
 
-    def _carry_out(self, number: int, request: PickPlace) -> Failure | None:
-        goal = transform_points(request.T_place_pick, request.points)
-        if not self._task.table.holds(Footprint.of(goal).center):
-            return Failure("executor", "the place lies beyond the table's edge")
+    def _carry_out(self, number: int, request: PickPlace) -> tuple[Failure | None, Float | None]:
+        """What went wrong, and the (4, 4) motion that the object has had, where it is known."""
+        wanted = request.T_place_pick
+        if not self._task.table.holds(Footprint.of(transform_points(wanted, request.points)).center):
+            return Failure("executor", "the place lies beyond the table's edge"), None
         grasps = self._planner.grasps(request, self.moves)
         if isinstance(grasps, Failure):
-            return grasps
+            return grasps, None
         self._back_off(number)
-        before, wanted = self._bench.pose(number), request.T_place_pick
         reach = self._planner.reach(self.moves)
         way = reach.plan(self._q, grasps, wanted)
         if isinstance(way, Failure):
-            return way
-        failure = self._mover.carry_out(way, _Eye(self._bench, number, reach, wanted))
+            return way, None
+        eye = self._eye(number, request, reach)
+        failure = self._mover.carry_out(way, eye)
         self._bench.wait(_REST_S, "resting", number)
-        moved = self._bench.pose(number) @ invert(before)
-        self._planner.clearance.see(transform_points(moved, request.points), request.others)
-        return failure or self._slipped(self._bench.pose(number), wanted @ before)
+        expected = wanted if failure is None else np.eye(4)
+        moved = eye.placed(expected)
+        stands = expected if isinstance(moved, Failure) else moved
+        self._planner.clearance.see(transform_points(stands, request.points), request.others)
+        if isinstance(moved, Failure):
+            return failure, None
+        return failure or self._slipped(request.points.mean(axis=0), moved, wanted), moved
+
+    def _eye(self, number: int, request: PickPlace, reach: Reach) -> Eye:
+        if self.config.look == "measured":
+            return _Measured(self._bench, number, reach, request.T_place_pick)
+        return Look(self._driver, self._bench.robot, request, reach)
 
     def _back_off(self, number: int | None) -> None:
         """Leave what came to lean on the arm, which may be object `number`: no path starts in a contact."""
@@ -192,9 +207,10 @@ class Arm(Plugin[ArmConfig], Executor):
         if way.seconds > 0:
             self._mover.follow(way, "backing off")
 
-    def _slipped(self, pose: Float, wanted: Float) -> Failure | None:
-        shift = float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3]))
-        turn = float(np.degrees(rotation_angle(pose[:3, :3] @ wanted[:3, :3].T)))
+    def _slipped(self, middle: Float, moved: Float, wanted: Float) -> Failure | None:
+        """Say how far off its place an object lies whose (3,) middle was moved by other than the (4, 4) wanted."""
+        shift = float(np.linalg.norm(transform_points(moved, middle) - transform_points(wanted, middle)))
+        turn = float(np.degrees(rotation_angle(moved[:3, :3] @ wanted[:3, :3].T)))
         if shift <= self.config.off_m and turn <= self.config.off_deg:
             return None
         return Failure("executor", f"the object slipped: it lies {100 * shift:.1f} cm and {turn:.0f} deg off its place")
@@ -206,8 +222,8 @@ class Arm(Plugin[ArmConfig], Executor):
 
 
 @dataclass
-class _Eye(Eye):
-    """Sees, as nothing but a simulator can, how an object lies in the hand."""
+class _Measured(Eye):
+    """Knows, as nothing but a simulator can, how an object lies in the hand and where it came to stand."""
 
     bench: Bench
     number: int
@@ -217,11 +233,17 @@ class _Eye(Eye):
     def __post_init__(self) -> None:
         self._T_object_seen = invert(self.bench.pose(self.number))
 
-    def in_hand(self) -> Float:
-        return invert(self.bench.robot.T_world_hand()) @ self.bench.pose(self.number)
+    def expected(self) -> Float:
+        return self.in_hand(np.eye(4))
 
-    def adapted(self, way: Way) -> Way | Failure:
-        return self.reach.adapted(way, self.in_hand() @ self._T_object_seen, self.wanted)
+    def in_hand(self, expected: Float) -> Float:
+        return invert(self.bench.robot.T_world_hand()) @ self.placed(expected)
+
+    def adapted(self, way: Way, in_hand: Float) -> Way | Failure:
+        return self.reach.adapted(way, in_hand, self.wanted)
+
+    def placed(self, expected: Float) -> Float:
+        return self.bench.pose(self.number) @ self._T_object_seen
 
 
 def base_pose(config: ArmConfig) -> Float:

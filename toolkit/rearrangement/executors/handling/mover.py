@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from toolkit.geometry import rotation_angle
+from toolkit.geometry import invert, rotation_angle, transform_points
 from toolkit.rearrangement.drivers import Driver, Follow, Grip, JointState, perform
 from toolkit.rearrangement.plans import ArmPlan, PlannedMove, Way
 from toolkit.rearrangement.trajectories import Limits, Trajectory
@@ -19,16 +19,30 @@ _GIVES_M, _GIVES_DEG = 0.02, 10.0
 
 
 class Eye(Protocol):
-    """Sees how an object lies in the hand, and what that means for its way."""
+    """Sees how an object lies in the hand and where it was put, and what that means for its way.
+
+    How it lies in the hand is (4, 4) what takes its points, in the world where they were seen before the move, into the
+    hand's frame.
+    """
 
     @abstractmethod
-    def in_hand(self) -> Float:
-        """(4, 4) the object's pose in the hand's frame."""
+    def expected(self) -> Float:
+        """How the object is taken to lie in the hand, now that the fingers have closed."""
         ...
 
     @abstractmethod
-    def adapted(self, way: Way) -> Way | Failure:
-        """A way that was carried out up to its lift, with a second half for how the object lies in the hand now."""
+    def in_hand(self, expected: Float) -> Float | Failure:
+        """How it lies there now; a Failure where that cannot be seen."""
+        ...
+
+    @abstractmethod
+    def adapted(self, way: Way, in_hand: Float) -> Way | Failure:
+        """A way that was carried out up to its lift, with a second half for how the object lies in the hand."""
+        ...
+
+    @abstractmethod
+    def placed(self, expected: Float) -> Float | Failure:
+        """(4, 4) motion that the object has had, now that the hand has left; a Failure where that cannot be seen."""
         ...
 
 
@@ -51,7 +65,7 @@ class Mover:
 
         Args:
             way: what to do.
-            eye: sees the object; without one, it is taken to lie in the hand as planned.
+            eye: sees the object; without one, and where it sees too little, it is taken to lie in the hand as planned.
 
         Returns:
             Why the object was not put down at the way's end; None where it was, wherever it then lies.
@@ -63,15 +77,9 @@ class Mover:
         self.follow(way.to_grasp, "going to the grasp", touching=False)
         self.follow(way.approach, "approaching")
         self.close()
-        at_grasp = eye.in_hand() if eye else None
-        held = self.follow(way.lift, "lifting").holding
-        lost = "slipped in" if held is False else None
-        if eye is not None and at_grasp is not None:
-            lost = lost or _moved(at_grasp, eye.in_hand())
-        if lost is not None:
-            self._put_back(way)
-            return Failure("executor", f"the object {lost} the gripper while it was lifted")
-        adapted = eye.adapted(way) if eye else way
+        expected = eye.expected() if eye else np.eye(4)
+        lifted = self.follow(way.lift, "lifting")
+        adapted = _lost("slipped in") if lifted.holding is False else _adapted(way, eye, expected)
         if isinstance(adapted, Failure):
             self._put_back(way)
             return adapted
@@ -141,9 +149,17 @@ def carry_out_plan(
     return None
 
 
-def _moved(before: Float, now: Float) -> str | None:
-    """What has become of the hold on an object, which was at a (4, 4) pose in the hand; None if nothing."""
-    if np.linalg.norm(now[:3, 3] - before[:3, 3]) > _GIVES_M:
-        return "slipped in"
-    turned = np.degrees(rotation_angle(now[:3, :3] @ before[:3, :3].T))
-    return "turned in" if turned > _GIVES_DEG else None
+def _adapted(way: Way, eye: Eye | None, expected: Float) -> Way | Failure:
+    """A way carried out up to its lift, for how the object now lies in the hand, and was (4, 4) expected to."""
+    now = eye.in_hand(expected) if eye else expected
+    if eye is None or isinstance(now, Failure):
+        return way
+    moved = now @ invert(expected)
+    held = transform_points(expected, way.T_world_gripper[:3, 3])
+    if np.linalg.norm(transform_points(moved, held) - held) > _GIVES_M:
+        return _lost("slipped in")
+    return _lost("turned in") if np.degrees(rotation_angle(moved[:3, :3])) > _GIVES_DEG else eye.adapted(way, now)
+
+
+def _lost(what: str) -> Failure:
+    return Failure("executor", f"the object {what} the gripper while it was lifted")
