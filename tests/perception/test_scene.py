@@ -9,10 +9,21 @@ import pytest
 from usual import Scripted, usual_stages
 
 from toolkit.geometry import rotation_z
+from toolkit.perception.explanation import Explanation, Placement
 from toolkit.perception.meter import Meter
 from toolkit.perception.pipeline import Pipeline, PipelineSettings
 from toolkit.plugin_kit.conformance.scene import current_frames, goal_frame, segments_of
-from toolkit.stages import MATCHERS, RETRIEVERS, SEGMENTERS, Descriptor, PnP, Refiner, Registration, Retriever
+from toolkit.stages import (
+    MATCHERS,
+    RETRIEVERS,
+    SEGMENTERS,
+    Descriptor,
+    Explainer,
+    PnP,
+    Refiner,
+    Registration,
+    Retriever,
+)
 from toolkit.types import Camera, Failure, PnPSolution, Refined
 
 TURN = rotation_z(0.3)
@@ -207,3 +218,44 @@ def test_what_a_cache_served_is_marked_on_whom_it_concerns(slot):
     _, estimates = run(meter=meter, **{slot: Served()})
     stage, whom = ("segmenter", [True] * 3) if slot == "goal_segmenter" else ("matcher", [False, True, False])
     assert [e.cached for e in estimates] == [e.time_ms[stage] >= 1e6 for e in estimates] == whom
+
+
+class JoinsOnce(Explainer):
+    """Finds that instances 1 and 0 are one object in every other goal, and that nothing was moved."""
+
+    def __init__(self):
+        self.models = []
+
+    def explain(self, task):
+        self.models.append(task.models)
+        joined = ((1, 0),) if len(self.models) % 2 else ()
+        segment, *_ = segments_of(task.goal)
+        return Explanation((Placement(1, np.eye(4), segment, 1.0),), (), joined=joined)
+
+
+class Counting(Scripted):
+    """Counts the crops that features are taken of."""
+
+    crops = 0
+
+    def extract(self, crops):
+        self.crops += len(crops)
+        return super().extract(crops)
+
+
+def test_what_one_goal_joins_comes_apart_for_the_next_and_nothing_is_made_twice():
+    explainer, matcher = JoinsOnce(), Counting(good=range(100))
+    pipeline = Pipeline(usual_stages(explainer=explainer, matcher=matcher), PipelineSettings())
+    scene = pipeline.scene(pipeline.build_database(current_frames()))
+    apart = set(scene.database.instances.tolist())
+    kept = scene.models.get(2)
+    instances, counts = [], []
+    for _ in range(4):
+        scene.estimate(goal_frame())
+        instances.append(set(scene.database.instances.tolist()))
+        counts.append(matcher.crops)
+        assert scene.models.get(2) is kept
+    assert instances == [apart - {0}, apart, apart - {0}, apart]
+    assert len({id(models) for models in explainer.models}) == 1
+    # The third and fourth goals take features of nothing but their own crop.
+    assert counts[2] == counts[1] + 1 and counts[3] == counts[2] + 1
