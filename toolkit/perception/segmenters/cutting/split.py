@@ -27,6 +27,7 @@ A change of colour alone is weaker evidence of two objects than a neck, and a ne
 
 _BLUR_PX = 9
 _OUTLINE_SHARE = 0.3
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +102,14 @@ def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int, pr
     index = np.arange(mask.size).reshape(mask.shape)[box]
     whole = _likelihood(looks, colours[inside])
     size = int(inside.sum())
+    outline = cv2.erode(inside.astype(np.uint8), _NEIGHBOURS, borderValue=0) == 0
     cuts: list[_Cut] = []
     proposed = ((proposal[box] & inside, _PROPOSED_GAIN) for proposal in proposals)
     necks = ((part, _NECK_GAIN) for part in neck_cuts(inside))
-    changes = ((part, _COLOUR_GAIN) for part in _colour_cuts(inside, colours, looks))
+    changes = ((part, _COLOUR_GAIN) for part in _colour_cuts(inside, colours, looks, min_pixels))
     for part, gain in chain(proposed, necks, changes):
         n = int(part.sum())
-        if min_pixels <= n <= size - min_pixels and _reaches_outline(part, inside):
+        if min_pixels <= n <= size - min_pixels and _reaches_outline(part, outline):
             score = _likelihood(looks, colours[part])
             cuts.append(
                 _Cut(np.stack([whole - score, score]), index[part], gain * min(n, size - n), gain == _PROPOSED_GAIN)
@@ -115,12 +117,10 @@ def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int, pr
     return cuts
 
 
-def _reaches_outline(part: Mask, mask: Mask) -> bool:
+def _reaches_outline(part: Mask, outline: Mask) -> bool:
     """Say whether enough of a part's outline is the blob's own: print on an object is surrounded by the object."""
-    kernel = np.ones((3, 3), np.uint8)
-    own = part & (cv2.erode(part.astype(np.uint8), kernel) == 0)
-    shared = own & (cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) == 0)
-    return int(shared.sum()) >= _OUTLINE_SHARE * int(own.sum())
+    own = part & (cv2.erode(part.astype(np.uint8), _NEIGHBOURS) == 0)
+    return np.count_nonzero(own & outline) >= _OUTLINE_SHARE * np.count_nonzero(own)
 
 
 def neck_cuts(mask: Mask) -> Iterator[Mask]:
@@ -142,14 +142,20 @@ def neck_cuts(mask: Mask) -> Iterator[Mask]:
         before = n
 
 
-def _colour_cuts(mask: Mask, bins: NDArray[np.int64], looks: Float) -> Iterator[Mask]:
-    """Yield the connected parts (H, W) in which, over a small window, some object is the likeliest."""
+def _colour_cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int) -> Iterator[Mask]:
+    """Yield the connected parts (H, W) in which, over a small window, some object is likelier than another.
+
+    What is smaller than `min_pixels` is left out.
+    """
     weight = np.maximum(cv2.blur(mask.astype(np.float32), (_BLUR_PX, _BLUR_PX)), 1e-6)
     maps = np.where(mask, looks.astype(np.float32)[:, bins], 0)
     smooth = np.stack([cv2.blur(m, (_BLUR_PX, _BLUR_PX)) / weight for m in maps])
     for first in range(len(looks)):
         for second in range(first + 1, len(looks)):
             wins = mask & (smooth[second] > smooth[first])
-            parts, members, stats, _ = cv2.connectedComponentsWithStats(wins.astype(np.uint8), connectivity=8)
-            if parts > 1:
-                yield members == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+            if np.count_nonzero(wins) < min_pixels:
+                continue
+            _, members, stats, _ = cv2.connectedComponentsWithStats(wins.astype(np.uint8), connectivity=8)
+            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+            if stats[largest, cv2.CC_STAT_AREA] >= min_pixels:
+                yield members == largest
