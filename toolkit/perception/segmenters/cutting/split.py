@@ -120,7 +120,7 @@ def _cuts(mask: Mask, bins: NDArray[np.int64], looks: Float, min_pixels: int, pr
 def _reaches_outline(part: Mask, outline: Mask) -> bool:
     """Say whether enough of a part's outline is the blob's own: print on an object is surrounded by the object."""
     own = part & (cv2.erode(part.astype(np.uint8), _NEIGHBOURS) == 0)
-    return np.count_nonzero(own & outline) >= _OUTLINE_SHARE * np.count_nonzero(own)
+    return bool(np.count_nonzero(own & outline) >= _OUTLINE_SHARE * np.count_nonzero(own))
 
 
 def neck_cuts(mask: Mask) -> Iterator[Mask]:
