@@ -11,8 +11,8 @@ import trimesh
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, rotation_z, transform_points
 from toolkit.rearrangement.grasps.geometry.gripper import boxes_of, lowest
-from toolkit.rearrangement.grasps.geometry.surface import normals
 from toolkit.rearrangement.moves import GraspRequest
+from toolkit.rearrangement.surfaces import normals
 from toolkit.sim.robots import ROBOTS
 from toolkit.stages import GRASPERS
 from toolkit.types import Failure

@@ -25,11 +25,11 @@ Groups = tuple[tuple[int, ...], ...]
 class Scene:
     """A database and what is made of it on the way: features of its regions and fused models, kept for further goals.
 
+    Stages and models know the table's own frame only; goals come from the user's world and motions go back to it.
+
     Attributes:
         database: its instances as the last goal joined them.
         models: of those instances.
-
-    Stages and models know the table's own frame only; goals come from the user's world and motions go back to it.
 
     Args:
         parts: the pipeline's.

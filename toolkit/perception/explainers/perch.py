@@ -19,7 +19,7 @@ from toolkit.perception.explanation import ExplainTask, Explanation, Placement
 from toolkit.perception.fusion import FusedModel, united
 from toolkit.perception.stages import Explainer
 from toolkit.perception.tabletop.appearance import scan_table
-from toolkit.perception.tabletop.difference import off_the_table
+from toolkit.perception.tabletop.difference import against_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Float, Frame, Segment
 
@@ -54,7 +54,7 @@ class Perch(Plugin[PerchConfig], Explainer):
     def explain(self, task: ExplainTask) -> Explanation:
         """Explain a goal image; raises ToolkitError where no current frame's depth shows a table."""
         scan = scan_table(task.models.frames)
-        view, found = off_the_table(task.goal, scan)
+        view, found = against_table(task.goal, scan)
         factor = self._factor(task.goal, scan.table.T_world_table)
         coarse, fine = (evidence(task.goal, found, view.table, f) for f in (2 * factor, factor))
         searcher = Searcher(

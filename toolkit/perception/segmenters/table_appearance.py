@@ -13,7 +13,7 @@ from toolkit.perception.segmenters.cutting.looks import object_looks
 from toolkit.perception.segmenters.cutting.split import split_touching
 from toolkit.perception.stages import Segmenter
 from toolkit.perception.tabletop.appearance import TableScan, scan_table
-from toolkit.perception.tabletop.difference import off_the_table
+from toolkit.perception.tabletop.difference import against_table
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Frame, Segment
 
@@ -57,5 +57,5 @@ class TableAppearanceSegmenter(Plugin[TableAppearanceConfig], Segmenter):
 
 def blob_labels(frame: Frame, scan: TableScan, threshold: float, min_pixels: int) -> NDArray[np.int32]:
     """(H, W) int32 labels of what differs from the table's look; arguments as `find_blobs`."""
-    view, found = off_the_table(frame, scan)
+    view, found = against_table(frame, scan)
     return find_blobs(frame.rgb, found.score, view, threshold, min_pixels)

@@ -44,7 +44,7 @@ class Difference:
 
 
 @lru_cache(maxsize=2)
-def off_the_table(frame: Frame, scan: TableScan) -> tuple[TableView, Difference]:
+def against_table(frame: Frame, scan: TableScan) -> tuple[TableView, Difference]:
     """The empty table in an image's camera, and the image against it. The last images' are kept."""
     view = render_table(scan, frame.camera)
     return view, difference(frame.rgb, view)

@@ -16,9 +16,10 @@ from toolkit.rearrangement.grasps.geometry.room import (
     first_with_room,
     grasps_on,
 )
-from toolkit.rearrangement.grasps.geometry.surface import Contacts, antipodal_pairs, normals, wall_pairs
+from toolkit.rearrangement.grasps.geometry.surface import Contacts, antipodal_pairs, wall_pairs
 from toolkit.rearrangement.moves import Grasp, GraspRequest
 from toolkit.rearrangement.stages import Grasper
+from toolkit.rearrangement.surfaces import normals
 from toolkit.registry import Plugin
 from toolkit.types import Failure, Float, Gripper
 

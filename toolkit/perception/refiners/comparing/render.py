@@ -1,4 +1,4 @@
-"""Scores poses by rendering the fused model into the goal: silhouette and colour, one pose after another (JAX)."""
+"""Scores poses by rendering the fused model into the goal: silhouette and colour, a few poses at a time (JAX)."""
 
 from __future__ import annotations
 

@@ -16,7 +16,8 @@ from scipy.linalg import eigh, null_space
 from scipy.spatial import ConvexHull, KDTree
 from scipy.spatial.transform import Rotation
 
-from toolkit.geometry import cubes, group_means, invert, make_transform, transform_points
+from toolkit.geometry import invert, make_transform, transform_points
+from toolkit.rearrangement.surfaces import normals, thin_out
 from toolkit.types import Failure, Float
 
 REACH_M = 0.03
@@ -25,7 +26,7 @@ REACH_M = 0.03
 _STARTS_M, _LEAST_REACH_M, _SHRINKS = (0.01, REACH_M), 0.006, 0.9
 """Points are paired over so much at first, and in the end. A near start is not misled by what nobody knew of it."""
 
-_THIN_M, _NEIGHBOURS, _FEWEST = 0.003, 16, 50
+_THIN_M, _FEWEST = 0.003, 50
 _ALIKE, _APART_M = 0.7, 0.02
 """Cosine between the normals of two points of one surface, at least; and how far apart normals make points that differ
 by a radian."""
@@ -115,14 +116,10 @@ class _Surface:
     @classmethod
     def of(cls, points: Float, eye: Float) -> _Surface | None:
         """The surface that points lie on; None where they are hardly any."""
-        _, groups, counts = np.unique(cubes(points, _THIN_M), return_inverse=True, return_counts=True)
-        if len(counts) < _FEWEST:
+        if len(points) < _FEWEST:
             return None
-        points = group_means(points, groups, counts)
-        around = points[KDTree(points).query(points, _NEIGHBOURS)[1]]
-        around = around - around.mean(axis=1, keepdims=True)
-        _, axes = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)
-        return cls._seen(points, axes[:, :, 0], eye)
+        points = thin_out(points, _THIN_M)
+        return cls._seen(points, normals(points), eye) if len(points) >= _FEWEST else None
 
     @classmethod
     def _seen(cls, points: Float, normals: Float, eye: Float) -> _Surface:

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from toolkit.geometry import make_transform, rotation_angle
 from toolkit.rearrangement.grasps.geometry.gripper import boxes_of, lowest, points_in_boxes
-from toolkit.rearrangement.grasps.geometry.surface import thin_out
 from toolkit.rearrangement.moves import Grasp, GraspRequest
+from toolkit.rearrangement.surfaces import thin_out
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Gripper
 

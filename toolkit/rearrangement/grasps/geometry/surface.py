@@ -1,4 +1,4 @@
-"""Surface normals of a point cloud, and pairs of points that two fingers can squeeze."""
+"""Pairs of points of a cloud that two fingers can squeeze."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
-from toolkit.geometry import cubes, group_means
 from toolkit.types import Float
 
-_NEIGHBOURS = 16
 _LINE_M = 0.004
 """Points this near to the line through a contact lie on it."""
 
@@ -47,23 +44,6 @@ def wall_pairs(points: Float, directions: Float, count: int, rng: np.random.Gene
     chosen = rng.permutation(len(points))[:count]
     half = _WALL_M / 2 * directions[chosen]
     return Contacts(points[chosen] - half, points[chosen] + half, np.ones(len(chosen)))
-
-
-def thin_out(points: Float, spacing: float) -> Float:
-    """(M, 3) means of (N, 3) points over the cubes of a grid, by rising x, then y, then z."""
-    cells = cubes((points - points.min(axis=0))[:, ::-1], spacing)
-    _, inverse, counts = np.unique(cells, return_inverse=True, return_counts=True)
-    return group_means(points, inverse, counts)
-
-
-def normals(points: Float) -> Float:
-    """(N, 3) unit normals of (N, 3) points, signs left open: the direction its neighbours vary least in."""
-    count = min(_NEIGHBOURS, len(points))
-    _, neighbours = KDTree(points).query(points, count)
-    near = points[neighbours.reshape(len(points), -1)]
-    centered = near - near.mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centered, centered))
-    return vectors[:, :, 0]
 
 
 def last_on_lines(points: Float, starts: Float, along: Float) -> tuple[Float, NDArray[np.int64]]:
