@@ -38,3 +38,21 @@ def test_programs_are_kept_and_broken_ones_made_again(tmp_path):
 def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path):
     (tmp_path / "compiled").write_text("a file")
     assert compile_in(tmp_path) == {}
+
+
+def test_a_gpu_alone_keeps_the_processor_and_room_for_others():
+    code = """
+import os
+
+from toolkit.perception.compiled import share_accelerator
+
+share_accelerator()
+import jax
+
+print(jax.config.jax_platforms, os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"])
+"""
+    shown: list[str] = []
+    for own in ({"JAX_PLATFORMS": "cuda"}, {"JAX_PLATFORMS": "cpu", "XLA_PYTHON_CLIENT_PREALLOCATE": "true"}):
+        done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **own}, capture_output=True, text=True)
+        shown.append(done.stdout.strip())
+    assert shown == ["cuda,cpu false", "cpu true"]

@@ -163,10 +163,11 @@ def settings(request, tmp_path, monkeypatch, cache):
     return request.param, tmp_path / "settings.yaml"
 
 
-def run(settings, out, resume=False, **overrides):
+def run(settings, out, resume=False, workers=0, device="cpu", **overrides):
     network, file = settings
     chosen = {key.replace("__", "."): value for key, value in overrides.items()}
-    return train(network, read_training(network, file, chosen), TrainOptions(out, resume), Progress())
+    options = TrainOptions(out, resume, workers=workers, device=device)
+    return train(network, read_training(network, file, chosen), options, Progress())
 
 
 def test_the_same_seed_gives_the_same_bytes_and_a_resumed_run_too(settings, tmp_path):
@@ -178,6 +179,16 @@ def test_the_same_seed_gives_the_same_bytes_and_a_resumed_run_too(settings, tmp_
     assert resumed.read_bytes() == whole.read_bytes()
     other = run(settings, tmp_path / "other", loop__seed=1)
     assert other.read_bytes() != whole.read_bytes()
+
+
+def test_processes_that_draw_ahead_change_no_bytes(settings, tmp_path):
+    assert run(settings, tmp_path / "own").read_bytes() == run(settings, tmp_path / "drawn", workers=2).read_bytes()
+
+
+def test_a_device_that_is_not_there_is_said_before_any_work(settings, tmp_path):
+    with pytest.raises(ToolkitError, match="torch cannot use the device 'nothing'"):
+        run(settings, tmp_path / "out", device="nothing")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_loss_falls_and_all_is_written_down(settings, tmp_path):

@@ -31,12 +31,15 @@ def train(
         Path | None, typer.Option(metavar="DIR", help="A folder of scans to evaluate on; never trained on.")
     ] = None,
     threads: Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads; all cores when left out.")] = None,
+    device: Annotated[str, typer.Option(help="What torch trains on, such as cuda.")] = "cpu",
+    workers: Annotated[int, typer.Option(min=0, metavar="N", help="Processes that draw samples ahead.")] = 0,
     settings: SettingsOption = [],  # noqa: B006
 ) -> None:
     """Train a network the toolkit ships, on views it renders itself; writes curves, checkpoints and the weights."""
     from toolkit.training.run import TrainOptions, read_training
     from toolkit.training.run import train as run_training
 
-    options = TrainOptions(out or Path("runs") / "train" / network, resume, train_objects, objects, threads or cores())
+    folder = out or Path("runs") / "train" / network
+    options = TrainOptions(folder, resume, train_objects, objects, threads or cores(), device, workers)
     path = run_training(network, read_training(network, config, single_values(settings)), options, bars())
     say(f"Written: {path}")

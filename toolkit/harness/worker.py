@@ -28,7 +28,7 @@ from toolkit.harness.experiment import Cell, Experiment, create_stage, own_setti
 from toolkit.harness.runs import RunOptions
 from toolkit.parallel import Workers, open_workers
 from toolkit.paths import cache_root
-from toolkit.perception.compiled import keep_compiled
+from toolkit.perception.compiled import keep_compiled, share_accelerator
 from toolkit.perception.meter import Meter
 from toolkit.perception.pipeline import Pipeline, Stages
 from toolkit.progress import Progress
@@ -111,6 +111,7 @@ def make_runner(cell: Cell, cache: Cache | None) -> CellRunner:
         ToolkitError: a stage cannot be made.
     """
     keep_compiled()
+    share_accelerator()
     meter = Meter()
     plugins: dict[str, Plugin[Any]] = {slot: create_stage(cell.pipeline, slot) for slot in SLOTS}
     stages: dict[str, Any] = dict(plugins)

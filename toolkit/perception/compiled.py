@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import warnings
 import zlib
@@ -29,6 +30,19 @@ def keep_compiled() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
+
+
+def share_accelerator() -> None:
+    """Let JAX take a GPU's memory as it needs it, and keep the processor beside it; call it before JAX first computes.
+
+    JAX takes three quarters of the memory at once by default, and torch and other workers need room there too. A
+    person's own XLA_PYTHON_CLIENT_PREALLOCATE stays. Poses are polished in float64 on the processor, which
+    JAX_PLATFORMS=cuda alone leaves out.
+    """
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    platforms = jax.config.jax_platforms  # type: ignore[attr-defined]
+    if platforms and "cpu" not in platforms.split(","):
+        jax.config.update("jax_platforms", f"{platforms},cpu")
 
 
 def _is_whole(program: Path) -> bool:

@@ -17,16 +17,17 @@ from toolkit import __version__
 from toolkit.files import new_file, write_text
 
 
-def export(model: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
+def export(model: nn.Module, path: Path, card: Mapping[str, Any], device: str = "cpu") -> None:
     """Write `path` (safetensors, float16 where the tensor is floating) and, beside it, the card as YAML.
 
     Args:
         model: its state dict is what is written.
         path: ends in `.safetensors`.
         card: what to say of it; size, digest, machine and versions are added.
+        device: what it was trained on.
     """
     state = {
-        name: (value.half() if value.is_floating_point() else value).contiguous()
+        name: (value.half() if value.is_floating_point() else value).cpu().contiguous()
         for name, value in model.state_dict().items()
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -39,10 +40,16 @@ def export(model: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         "file": path.name,
         "size_mb": round(len(data) / 1e6, 2),
         "sha256": hashlib.sha256(data).hexdigest(),
-        "machine": f"{_processor()}, {torch.get_num_threads()} thread(s)",
+        "machine": _machine(device),
         "versions": {"toolkit": __version__, "torch": str(torch.__version__), "python": platform.python_version()},
     }
     write_text(path.with_suffix(".yaml"), yaml.safe_dump(facts, sort_keys=False, width=110))
+
+
+def _machine(device: str) -> str:
+    if torch.device(device).type == "cuda":
+        return f"{torch.cuda.get_device_name(device)}, {_processor()}"
+    return f"{_processor()}, {torch.get_num_threads()} thread(s)"
 
 
 def _processor() -> str:

@@ -58,6 +58,13 @@ class LoftrBatch:
     targets: Tensor
     negative: Tensor
 
+    def to(self, device: torch.device) -> LoftrBatch:
+        """The same on a device."""
+        images, masks, tokens, valid = (part.to(device) for part in (self.images, self.masks, self.tokens, self.valid))
+        batch, first, second = (part.to(device) for part in self.matched)
+        targets, negative = self.targets.to(device), self.negative.to(device)
+        return LoftrBatch(images, masks, tokens, valid, (batch, first, second), targets, negative)
+
 
 class LoftrTask:
     """What `toolkit train loftr` trains (`toolkit.training.loop.Task`).
@@ -128,7 +135,7 @@ class LoftrTask:
         c = self.config
         features = _features(model, batch)
         maps = [f["coarse"].flatten(2).transpose(1, 2) for f in features]
-        rows = torch.arange(batch.tokens.shape[1])[:, None]
+        rows = torch.arange(batch.tokens.shape[1], device=batch.tokens.device)[:, None]
         coarse = _attend(
             model.loftr_coarse, *(m[rows, t] for m, t in zip(maps, batch.tokens, strict=True)), *batch.valid
         )
@@ -141,13 +148,13 @@ class LoftrTask:
         parts = {"coarse": matching, "fine": fine, "hit": hit.float().mean(), "confidence": sure}
         return matching + c.fine_weight * fine, {name: float(value.detach()) for name, value in parts.items()}
 
-    def evaluate(self, model: nn.Module) -> dict[str, float]:
+    def evaluate(self, model: nn.Module, device: torch.device) -> dict[str, float]:
         """Precision, number and recall of matches on pairs of objects that are not trained on."""
         assert isinstance(model, LoFTR)
         return {
             f"{name}/{key}": value
             for name, pairs in self._evaluation.items()
-            for key, value in score_pairs(model, [self._collate(b) for b in _batches(pairs)], pairs).items()
+            for key, value in score_pairs(model, [self._collate(b).to(device) for b in _batches(pairs)], pairs).items()
         }
 
     @cached_property
@@ -164,7 +171,7 @@ class LoftrTask:
     ) -> Tensor:
         b, i, j = batch.matched
         # A batch's matches come in the order of its pairs, so they are thinned evenly.
-        rows = torch.linspace(0, max(len(b) - 1, 0), min(len(b), self.config.fine_matches)).long()
+        rows = torch.linspace(0, max(len(b) - 1, 0), min(len(b), self.config.fine_matches), device=b.device).long()
         if not len(rows):
             return features[0]["fine"].sum() * 0
         b = b[rows]
@@ -176,11 +183,12 @@ class LoftrTask:
         ]
         windows = model.fine_preprocess(features[0]["fine"], features[1]["fine"], *grids, data)
         first, second = _attend(model.loftr_fine, *windows)
-        data |= {"mkpts0_c": self._cells[i], "mkpts1_c": self._cells[j], "mconf": torch.ones(len(b))}
-        with torch.autocast("cpu", enabled=False):
+        centers = self._cells.to(b.device)
+        data |= {"mkpts0_c": centers[i], "mkpts1_c": centers[j], "mconf": torch.ones(len(b), device=b.device)}
+        with torch.autocast(b.device.type, enabled=False):
             model.fine_matching(first, second, data)
         reach = FINE_STRIDE * (model.fine_preprocess.W // 2)
-        return fine_loss(data["expec_f"], (batch.targets[rows] - self._cells[j]) / reach)
+        return fine_loss(data["expec_f"], (batch.targets[rows] - centers[j]) / reach)
 
     def _collate(self, pairs: list[Pair]) -> LoftrBatch:
         images = np.stack([[_gray(pair.samples[side]) for pair in pairs] for side in (0, 1)])
@@ -215,9 +223,9 @@ def score_pairs(model: LoFTR, batches: list[LoftrBatch], pairs: list[Pair]) -> d
         features = _features(model, batch)
         masks = {f"mask{side}": batch.masks[side] for side in (0, 1)}
         out = model({"features0": features[0], "features1": features[1], **masks})
-        xy0, xy1 = (out[f"keypoints{side}"].numpy() for side in (0, 1))
+        xy0, xy1 = (out[f"keypoints{side}"].cpu().numpy() for side in (0, 1))
         column, row = np.rint(xy0 / COARSE_STRIDE).astype(int).T
-        pair = done + out["batch_indexes"].numpy()
+        pair = done + out["batch_indexes"].cpu().numpy()
         true = seen[pair * cells + row * int(cells**0.5) + column]
         errors.append(np.linalg.norm(true - (xy1 - 0.5), axis=1))
         done += batch.images.shape[1]
@@ -245,7 +253,7 @@ def _features(model: LoFTR, batch: LoftrBatch) -> list[dict[str, Tensor]]:
 
 def _attend(transformer: nn.Module, first: Tensor, second: Tensor, *masks: Tensor) -> tuple[Tensor, Tensor]:
     """A transformer's layers in float32: bfloat16 divides so coarsely that linear attention's gradients are noise."""
-    with torch.autocast("cpu", enabled=False):
+    with torch.autocast(first.device.type, enabled=False):
         return transformer(first.float(), second.float(), *masks)
 
 

@@ -24,7 +24,7 @@ def coarse_log_confidence(features0: Tensor, features1: Tensor, mask0: Tensor, m
         (N, L, S) float32.
     """
     # A softmax over logits of 40 needs more than bfloat16's eight bits.
-    with torch.autocast("cpu", enabled=False):
+    with torch.autocast(features0.device.type, enabled=False):
         similarity = torch.einsum("nlc,nsc->nls", features0.float(), features1.float())
         similarity = similarity / (features0.shape[-1] * scale)
         similarity = similarity.masked_fill(~(mask0[:, :, None] & mask1[:, None]), _OFF)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import copy
 import csv
 import time
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
 from toolkit.errors import ToolkitError
 from toolkit.files import new_file
@@ -19,7 +19,16 @@ from toolkit.progress import Progress
 from toolkit.training.config import LoopConfig
 from toolkit.training.curves import draw_curves
 
-BatchT = TypeVar("BatchT")
+
+class Batch(Protocol):
+    """The samples of a step, as tensors."""
+
+    def to(self, device: torch.device) -> Self:
+        """The same on a device."""
+        ...
+
+
+BatchT = TypeVar("BatchT", bound=Batch)
 
 CHECKPOINT, CURVES = "checkpoint.pt", "curves.csv"
 _LOG_EVERY = 25
@@ -29,7 +38,7 @@ class Task(Protocol[BatchT]):
     """What is trained."""
 
     def build(self) -> nn.Module:
-        """The network with its starting weights; torch is seeded."""
+        """The network with its starting weights, on the processor; torch is seeded."""
         ...
 
     def rates(self, model: nn.Module) -> list[tuple[list[nn.Parameter], float]]:
@@ -44,9 +53,22 @@ class Task(Protocol[BatchT]):
         """The loss of a batch, and its parts to write down."""
         ...
 
-    def evaluate(self, model: nn.Module) -> dict[str, float]:
-        """Figures on what is not trained on; the model is in evaluation mode."""
+    def evaluate(self, model: nn.Module, device: torch.device) -> dict[str, float]:
+        """Figures on what is not trained on; the model is in evaluation mode, on that device."""
         ...
+
+
+class _Steps(Dataset[BatchT]):
+    """A task's batches by step, from the first that is left."""
+
+    def __init__(self, task: Task[BatchT], steps: range) -> None:
+        self._task, self._steps = task, steps
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    def __getitem__(self, index: int) -> BatchT:
+        return self._task.batch(self._steps[index])
 
 
 class Trainer(Generic[BatchT]):
@@ -58,17 +80,27 @@ class Trainer(Generic[BatchT]):
         out: folder for checkpoint, curves and pictures.
         identity: everything that decides the result but `loop.steps`; a checkpoint of another one is refused.
         progress: shows a bar.
+        device: what the network is trained on. The same seed gives the same bytes on a processor only.
+        workers: processes that draw batches ahead; with 0, a batch is drawn when it is needed.
     """
 
     def __init__(
-        self, task: Task[BatchT], config: LoopConfig, out: Path, identity: Mapping[str, Any], progress: Progress
+        self,
+        task: Task[BatchT],
+        config: LoopConfig,
+        out: Path,
+        identity: Mapping[str, Any],
+        progress: Progress,
+        device: str = "cpu",
+        workers: int = 0,
     ) -> None:
         self.task, self.config, self.out, self.identity, self.progress = task, config, out, identity, progress
-        # Sums over indices are added in any order otherwise.
-        torch.use_deterministic_algorithms(True)
+        self._device, self._workers = torch.device(device), workers
+        # Sums over indices are added in any order otherwise; on CUDA not every layer has such an algorithm.
+        torch.use_deterministic_algorithms(self._device.type == "cpu")
         torch.utils.deterministic.fill_uninitialized_memory = False  # pyright: ignore[reportAttributeAccessIssue]
         torch.manual_seed(config.seed)
-        self.model = task.build().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.model = task.build().to(self._device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         groups = [{"params": parameters, "rate": rate} for parameters, rate in task.rates(self.model)]
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
@@ -84,7 +116,7 @@ class Trainer(Generic[BatchT]):
         path = self.out / CHECKPOINT
         if not path.is_file():
             raise ToolkitError(f"there is no checkpoint '{path}' to resume; leave out --resume to start")
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(path, map_location=self._device, weights_only=True)
         if state["identity"] != self.identity:
             changed = [k for k in self.identity if state["identity"].get(k) != self.identity[k]]
             raise ToolkitError(
@@ -100,12 +132,13 @@ class Trainer(Generic[BatchT]):
         """Train to the last step; returns the averaged network in evaluation mode. `figures` are its last ones."""
         self.out.mkdir(parents=True, exist_ok=True)
         c = self.config
-        with self.progress.step("Training", c.steps) as advance, ThreadPoolExecutor(1) as drawer:
+        with self.progress.step("Training", c.steps) as advance:
             advance(self.step)
             started = time.monotonic() - self.seconds
             sums: dict[str, float] = {}
-            for batch in self._batches(drawer):
-                parts = self._update(batch)
+            steps = _Steps(self.task, range(self.step, c.steps))
+            for batch in DataLoader(steps, batch_size=None, num_workers=self._workers):
+                parts = self._update(batch.to(self._device))
                 self.step += 1
                 self.seconds = time.monotonic() - started
                 for name, value in parts.items():
@@ -124,20 +157,11 @@ class Trainer(Generic[BatchT]):
         self.figures = self.figures or self._evaluate()
         return self.average
 
-    def _batches(self, drawer: ThreadPoolExecutor) -> Iterator[BatchT]:
-        """The remaining steps' batches, each drawn while the one before is trained on."""
-        coming = drawer.submit(self.task.batch, self.step)
-        for step in range(self.step, self.config.steps):
-            batch = coming.result()
-            if step + 1 < self.config.steps:
-                coming = drawer.submit(self.task.batch, step + 1)
-            yield batch
-
     def _update(self, batch: BatchT) -> dict[str, float]:
         for group in self.optimizer.param_groups:
             group["lr"] = group["rate"] * self.config.learning_rate * learning_rate_factor(self.config, self.step)
         self.model.train()
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.bf16):
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self.config.bf16):
             loss, parts = self.task.loss(self.model, batch)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -158,7 +182,7 @@ class Trainer(Generic[BatchT]):
 
     def _evaluate(self) -> dict[str, float]:
         with torch.inference_mode():
-            return self.task.evaluate(self.average)
+            return self.task.evaluate(self.average, self._device)
 
     def _record(self, row: Mapping[str, float]) -> None:
         path = self.out / CURVES

@@ -46,6 +46,10 @@ class MixvprBatch:
     near: Tensor
     far: Tensor
 
+    def to(self, device: torch.device) -> MixvprBatch:
+        """The same on a device."""
+        return MixvprBatch(*(part.to(device) for part in (self.maps, self.objects, self.near, self.far)))
+
 
 @dataclass(frozen=True, eq=False)
 class MapPool:
@@ -130,16 +134,19 @@ class MixvprTask:
         similarity = vectors @ vectors.T
         same = batch.objects[:, None] == batch.objects
         other = ~same
-        instance = multi_similarity(similarity, same & ~torch.eye(len(same), dtype=torch.bool), other)
+        instance = multi_similarity(
+            similarity, same & ~torch.eye(len(same), dtype=torch.bool, device=same.device), other
+        )
         view = multi_similarity(similarity, batch.near, batch.far)
         parts = {"instance": float(instance.detach()), "view": float(view.detach())}
         return instance + self.config.view_weight * view, parts
 
-    def evaluate(self, model: nn.Module) -> dict[str, float]:
+    def evaluate(self, model: nn.Module, device: torch.device) -> dict[str, float]:
         """Retrieval figures on objects that are not trained on."""
         found: dict[str, float] = {}
         for name, pool in self._held_out.items():
-            vectors = model(torch.from_numpy(pool.maps[:, 0].astype(np.float32))).numpy()
+            maps = torch.from_numpy(pool.maps[:, 0].astype(np.float32)).to(device)
+            vectors = model(maps).cpu().numpy()
             for key, value in score_retrieval(vectors, pool).items():
                 found[f"{name}/{key}"] = value
         return found

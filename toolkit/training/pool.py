@@ -28,7 +28,7 @@ from toolkit.files import make_once
 from toolkit.geometry import invert, look_at
 from toolkit.progress import Progress
 from toolkit.registry import PluginConfig
-from toolkit.sim.bullet import Renderer, best_renderer
+from toolkit.sim.bullet import Renderer, best_renderer, require_pybullet
 from toolkit.sim.world import Light, World
 from toolkit.types import Camera, Float, Image, Mask
 
@@ -181,6 +181,7 @@ def _cached(config: PoolConfig, assets: Sequence[ObjectAsset], cache: Path, prog
 def _render(
     config: PoolConfig, assets: Sequence[ObjectAsset], cache: Path, folder: Path, progress: Progress, title: str
 ) -> None:
+    require_pybullet()
     rng = np.random.default_rng(np.random.SeedSequence([config.seed, *title.encode()]))
     order = rng.permutation(len(assets)).tolist()
     size = config.objects_per_scene

@@ -18,7 +18,6 @@ from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.registry import validated
 from toolkit.settings import assign, read_settings, shipped_settings
-from toolkit.sim.bullet import require_pybullet
 from toolkit.training.config import LoftrTraining, MixvprTraining
 from toolkit.training.export import export
 from toolkit.training.loftr import LoftrTask
@@ -42,6 +41,8 @@ class TrainOptions:
         objects: a folder of scans to train on in place of procedural objects; a third of them is held out.
         scans: a folder of scans to evaluate on besides the held-out objects; never trained on.
         threads: of torch.
+        device: the torch device to train on.
+        workers: processes that draw samples ahead.
     """
 
     out: Path
@@ -49,6 +50,8 @@ class TrainOptions:
     objects: Path | None = None
     scans: Path | None = None
     threads: int = 1
+    device: str = "cpu"
+    workers: int = 0
 
 
 def read_training(network: str, file: Path | None, overrides: Mapping[str, Any]) -> LoftrTraining | MixvprTraining:
@@ -78,11 +81,11 @@ def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOp
 
     Raises:
         ToolkitError: weights to start from cannot be had, the folder holds a training already or none to resume, a
-            pool cannot be made, or there is no PyBullet here to render it.
+            pool cannot be made, or torch cannot use the device.
     """
-    require_pybullet()
     torch.set_num_threads(options.threads)
     cv2.setNumThreads(1)
+    _check_device(options.device)
     _check_folder(options)
     settings = config.model_dump(mode="json")
     identity: dict[str, Any] = {**settings, "loop": {k: v for k, v in settings["loop"].items() if k != "steps"}}
@@ -96,9 +99,10 @@ def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOp
     identity["start_sha256"] = file_digest(start) if start else None
     if options.objects is not None:
         identity["objects"] = load_object_set(str(options.objects), cache).digest
-    trainer = Trainer[Any](task, config.loop, options.out, identity, progress)
+    trainer = Trainer[Any](task, config.loop, options.out, identity, progress, options.device, options.workers)
     if options.resume:
         trainer.resume()
+    options.out.mkdir(parents=True, exist_ok=True)
     write_text(options.out / "settings.yaml", yaml.safe_dump(settings, sort_keys=False))
     model = trainer.run()
     path = options.out / f"{network}_tabletop.safetensors"
@@ -111,11 +115,19 @@ def train(network: str, config: LoftrTraining | MixvprTraining, options: TrainOp
         "settings": settings,
         "started_from": {"file": start.name, "sha256": file_digest(start)} if start else "random weights",
     }
-    export(model, path, card)
+    export(model, path, card, options.device)
     return path
+
+
+def _check_device(device: str) -> None:
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise ToolkitError(
+            f"torch cannot use the device '{device}' here; `toolkit doctor` lists those it has"
+        ) from error
 
 
 def _check_folder(options: TrainOptions) -> None:
     if (options.out / "checkpoint.pt").exists() and not options.resume:
         raise ToolkitError(f"'{options.out}' already holds a training; add --resume to go on, or use another --out")
-    options.out.mkdir(parents=True, exist_ok=True)
