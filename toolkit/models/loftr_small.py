@@ -21,8 +21,12 @@ from torch.nn import functional
 COARSE_STRIDE, FINE_STRIDE = 8, 2
 COARSE_WIDTH, FINE_WIDTH = 96, 32
 
+LEAST_CONFIDENCE = 0.05
+"""Dual-softmax confidence from which the small network's matches count: PnP gains more from those on plain surfaces than
+it loses by wrong ones (docs/training.md)."""
 
-def make_loftr_small(threshold: float = 0.2) -> LoFTR:
+
+def make_loftr_small(threshold: float = LEAST_CONFIDENCE) -> LoFTR:
     """Build the network with random weights, in training mode; about 0.9 M parameters.
 
     Its images come from `standardize`; its masks (N, H, W), given as `mask0` and `mask1`, are the objects' own, so that
