@@ -22,8 +22,8 @@ COARSE_STRIDE, FINE_STRIDE = 8, 2
 COARSE_WIDTH, FINE_WIDTH = 96, 32
 
 LEAST_CONFIDENCE = 0.05
-"""Dual-softmax confidence from which the small network's matches count: PnP gains more from those on plain surfaces than
-it loses by wrong ones (docs/training.md)."""
+"""Dual-softmax confidence from which the small network's matches count: PnP gains more from those on plain surfaces
+than it loses by wrong ones (docs/training.md)."""
 
 
 def make_loftr_small(threshold: float = LEAST_CONFIDENCE) -> LoFTR:
