@@ -145,7 +145,7 @@ def test_what_is_not_sure_enough_is_left_where_it_is():
 def test_a_base_that_cannot_be_is_refused_with_what_was_measured(base, said):
     T, box = BASE.copy(), np.array([[0.1, 0, 0.02], [0.1, 0.01, 0.05]])
     T[:3, 3] = base
-    sight = Sight(Layout(()), {0: box}, (), {}, {}, {}, np.zeros((0, 3)))
+    sight = Sight(Layout(()), {0: box}, (), {}, {}, {}, np.zeros((0, 3)), {})
     with closing(Client()) as client, pytest.raises(ToolkitError, match=said):
         planning._require_place(ArmPlanner(Tools(ArmSettings(robot="panda")), Robot(client, PANDA, T)), sight)
 
@@ -158,9 +158,9 @@ def test_a_home_that_reaches_into_what_nobody_saw_is_told_from_one_that_touches(
         robot.set(np.array(PANDA.home))
         around = robot.T_world_hand()[:3, 3] + np.random.default_rng(0).uniform(-0.03, 0.03, (50, 3))
         arm = ArmPlanner(Tools(ArmSettings(robot="panda")), robot)
-        planning._require_place(arm, Sight(Layout(()), {0: box}, (), {}, {}, {}, np.zeros((0, 3))))
+        planning._require_place(arm, Sight(Layout(()), {0: box}, (), {}, {}, {}, np.zeros((0, 3)), {}))
         with pytest.raises(ToolkitError, match="into space that no current frame looked into, with its base 0 cm"):
-            planning._require_place(arm, Sight(Layout(()), {0: box}, (), {}, {}, {}, around))
+            planning._require_place(arm, Sight(Layout(()), {0: box}, (), {}, {}, {}, around, {}))
 
 
 def test_what_is_no_arm_plans_nothing(dataset, tmp_path):

@@ -18,7 +18,7 @@ from toolkit.rearrangement.executors.handling.planning import ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
 from toolkit.rearrangement.executors.handling.squeeze import squeezed
 from toolkit.rearrangement.executors.handling.timing import Timer
-from toolkit.rearrangement.hidden import hidden_space
+from toolkit.rearrangement.hidden import empty_below, hidden_space
 from toolkit.rearrangement.moves import Grasp
 from toolkit.rearrangement.plans import Way
 from toolkit.sim.bench import Bench
@@ -209,3 +209,29 @@ def test_a_thing_that_is_no_instance_is_hidden_space_of_none():
 def test_where_nothing_was_found_nothing_is_hidden():
     hidden, elsewhere = hidden_space([frame(RING[0], BOX)], {})
     assert hidden == {} and elsewhere.shape == (0, 3)
+
+
+LID = (np.array([-0.05, -0.05, 0.045]), np.array([0.05, 0.05, 0.05]))
+"""It hangs in the air, as the rim of a bowl does."""
+
+
+def lid_cloud():
+    """(N, 3) its upper side."""
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 101), np.linspace(-0.05, 0.05, 101))
+    return np.stack([x, y, np.full_like(x, 0.05)], axis=-1).reshape(-1, 3)
+
+
+def test_what_a_camera_looked_under_is_empty_and_nothing_else_is():
+    """From above a lid hides what is below it; from all around, low down, the cameras look under it."""
+    low = [frame((0.7 * np.cos(a), 0.7 * np.sin(a), 0.1), LID) for a in np.arange(8) * np.pi / 4]
+    seen = {
+        "above": empty_below([frame((0.0, 0.01, 0.8), LID)], lid_cloud()),
+        "under": empty_below(low, lid_cloud()),
+        "solid": empty_below([frame(eye, BOX) for eye in RING], box_cloud()),
+    }
+    # Within a pixel (2.5 mm) of an edge, cameras look past it.
+    found = {name: points[np.abs(points[:, :2]).max(axis=1) < 0.045] for name, points in seen.items()}
+    assert len(found["above"]) == len(found["solid"]) == 0
+    assert len(found["under"]) > 1000
+    assert ((found["under"][:, 2] > 0.029) & (found["under"][:, 2] < 0.0475)).all()
+    assert empty_below([], np.zeros((0, 3))).shape == (0, 3)

@@ -44,6 +44,8 @@ def test_all_but_the_object_itself_is_in_the_way_and_what_it_hides_goes_with_it(
     then = sight.after(move)
     moved = transform_points(move.T_place_pick, sight.hidden[item.object])
     np.testing.assert_allclose(then.hidden[item.object], moved)
+    assert set(sight.empty) == set(sight.clouds)
+    np.testing.assert_allclose(then.request(move).empty, transform_points(move.T_place_pick, sight.request(move).empty))
     other = next(instance for instance in sight.clouds if instance != item.object)
     assert len(then.obstacles(other)) == len(sight.obstacles(other))
 

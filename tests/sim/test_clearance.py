@@ -10,16 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from toolkit.geometry import make_transform
+from toolkit.geometry import make_transform, rotation_z, transform_points
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
-from toolkit.sim.cubes import any_inside, around, deepened, standing, without
+from toolkit.sim.cubes import FINE_M, any_inside, around, deepened, standing, underside, with_underside, without
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
 from toolkit.types import Cubes
 
 POINTS = arrays(np.float64, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-0.5, 0.5, width=32))
 HOME = np.array(ROBOTS["panda"].home)
+NOTHING = np.zeros((0, 3))
 
 
 @given(POINTS, st.sampled_from([0.002, 0.004, 0.01]), st.sampled_from([0.0, 0.001, 0.002]))
@@ -113,6 +114,21 @@ def test_what_is_carried_has_an_underside(clearance):
         clearance.carry(clearance.in_hand(HOME) @ beside)
         assert clearance.free(HOME) == free
         assert clearance.fits(beside) == free
+
+
+@given(POINTS, st.floats(-np.pi, np.pi))
+def test_no_underside_is_where_it_was_seen_to_be_empty(points, turn):
+    """However a lid has been turned since, all of it that was seen stays, and nothing else does."""
+    points = points * [1, 1, 0] + [0, 0, 0.6]
+    below = underside(points).centers
+    T = rotation_z(turn)
+    hollow = with_underside(transform_points(T, points), transform_points(T, below))
+    assert without(around(transform_points(T, points), FINE_M), hollow) is None
+    assert without(hollow, around(transform_points(T, points), FINE_M)) is None
+    right = below[below[:, 0] > 0]
+    half = with_underside(points, right)
+    assert not any_inside(half, right)
+    assert len(half.cells) >= len(with_underside(points, NOTHING).cells) - np.count_nonzero(below[:, 0] > -2 * FINE_M)
 
 
 def test_an_underside_ends_at_the_table():

@@ -203,7 +203,7 @@ def _plan_moves(sight: Sight, schedule: Schedule, arm: ArmPlanner) -> _Planned:
             )
         )
         q, sight = way.retreat.end, sight.after(step)
-        arm.clearance.see(sight.clouds[step.object], asked.others)
+        arm.clearance.see(sight.clouds[step.object], asked.others, sight.empty[step.object])
     return _Planned(moves, failures, arm.to_home(q, len(moves)))
 
 

@@ -132,11 +132,13 @@ class PickPlace:
         points: (N, 3) seen points of the object where it stands, world coordinates.
         T_place_pick: (4, 4) motion from where it stands to where it is to be put.
         others: (M, 3) points of all that is elsewhere: what was seen, and space that nobody saw into.
+        empty: (K, 3) points just below those of the object where it was seen not to be (`hidden.empty_below`).
     """
 
     points: Float
     T_place_pick: Float
     others: Float
+    empty: Float = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from toolkit.geometry import rotation_angle, transform_points
 from toolkit.perception.pipeline import Pipeline
 from toolkit.perception.scene import Scene
 from toolkit.rearrangement.footprints import Footprint
-from toolkit.rearrangement.hidden import hidden_space
+from toolkit.rearrangement.hidden import empty_below, hidden_space
 from toolkit.rearrangement.moves import Item, Layout, Move, Outcome, PickPlace
 from toolkit.registry import PluginConfig
 from toolkit.types import Failure, Float, Frame, PoseEstimate
@@ -51,6 +51,7 @@ class Sight:
         failures: by goal object, why it has no motion.
         hidden: by instance, (M, 3) middles of the space around it that nobody saw into (`hidden_space`).
         unknown: (K, 3) those of such space elsewhere.
+        empty: by instance, (E, 3) points just below its own where it was seen not to be (`empty_below`).
     """
 
     layout: Layout
@@ -60,6 +61,7 @@ class Sight:
     failures: Mapping[int, Failure]
     hidden: Mapping[int, Float]
     unknown: Float
+    empty: Mapping[int, Float]
 
     def obstacles(self, instance: int) -> Float:
         """(M, 3) points of everything but an instance: what was seen of it, and where nobody saw that there is nothing.
@@ -71,7 +73,8 @@ class Sight:
 
     def request(self, move: Move) -> PickPlace:
         """What an executor is asked for, to make a move."""
-        return PickPlace(self.clouds[move.object], move.T_place_pick, self.obstacles(move.object))
+        own = move.object
+        return PickPlace(self.clouds[own], move.T_place_pick, self.obstacles(own), self.empty[own])
 
     def after(self, move: Move) -> Sight:
         """What there is to see when `move` was carried out as meant."""
@@ -81,6 +84,7 @@ class Sight:
             layout=self.layout.after(move),
             clouds={**self.clouds, moved: transform_points(T, self.clouds[moved])},
             hidden={**self.hidden, moved: transform_points(T, self.hidden[moved])},
+            empty={**self.empty, moved: transform_points(T, self.empty[moved])},
         )
 
     def after_outcome(self, move: Move, outcome: Outcome) -> Sight:
@@ -135,7 +139,8 @@ def in_sight(
     items = tuple(_item(instance, own, claims.get(instance), settings) for instance, own in clouds.items())
     layout = Layout(items, radius=settings.radius_m, clearance=settings.clearance_m)
     goal_objects = {i: e.goal_object for i, e in claims.items()}
-    return Sight(layout, clouds, tuple(estimates), goal_objects, failures, *hidden_space(frames, clouds))
+    empty = {instance: empty_below(frames, points) for instance, points in clouds.items()}
+    return Sight(layout, clouds, tuple(estimates), goal_objects, failures, *hidden_space(frames, clouds), empty)
 
 
 def correct(before: Sight, now: Sight) -> Sight:
@@ -146,15 +151,17 @@ def correct(before: Sight, now: Sight) -> Sight:
     was = np.array([item.footprint.center for item in before.layout.items]).reshape(-1, 2)
     is_now = np.array([item.footprint.center for item in now.layout.items]).reshape(-1, 2)
     distances = np.linalg.norm(was[:, None] - is_now[None], axis=2)
-    items, clouds, hidden = list(before.layout.items), dict(before.clouds), dict(before.hidden)
+    items, clouds = list(before.layout.items), dict(before.clouds)
+    hidden, empty = dict(before.hidden), dict(before.empty)
     for i, j in zip(*linear_sum_assignment(distances), strict=True):
         if distances[i, j] <= _SAME_OBJECT_M:
             seen = now.layout.items[j]
             items[i] = replace(seen, object=items[i].object)
             clouds[items[i].object] = now.clouds[seen.object]
             hidden[items[i].object] = now.hidden[seen.object]
+            empty[items[i].object] = now.empty[seen.object]
     layout = replace(before.layout, items=tuple(items))
-    return replace(before, layout=layout, clouds=clouds, hidden=hidden, unknown=now.unknown)
+    return replace(before, layout=layout, clouds=clouds, hidden=hidden, unknown=now.unknown, empty=empty)
 
 
 def _sureness(estimate: PoseEstimate) -> float:

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 
 from toolkit.geometry import invert, transform_points
-from toolkit.sim.cubes import any_inside, around, deepened, standing, without
+from toolkit.sim.cubes import FINE_M, any_inside, around, standing, with_underside, without
 from toolkit.sim.robot import Robot
 from toolkit.sim.urdf import absolute_text
 from toolkit.types import ArmWorld, Cubes, Float, Shape, Solid
@@ -19,13 +19,13 @@ _TABLE_MARGIN_M = 0.001
 _TABLE = Shape((np.array(list(product((-2.0, 2.0), (-2.0, 2.0), (-0.5, _TABLE_MARGIN_M)))),))
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-_FINE_M, _COARSE_M = 0.002, 0.004
-"""Sides of the cubes of what is taken and carried, and of all that the arm passes by."""
+_COARSE_M = 0.004
+"""Side of the cubes of all that the arm passes by."""
 
-_UNDERSIDE_M = 0.02
-_APART_M = _FINE_M + 0.0005
+_APART_M = FINE_M + 0.0005
 """Nothing else is this near to a point of the object: neighbours that touch each other do not cut into each other."""
 
+_NOWHERE = np.zeros((0, 3))
 _FAR_LINKS = 3
 """Links this many joints apart are kept from touching; nearer ones meet at their joints."""
 
@@ -35,7 +35,8 @@ class Clearance:
 
     The others are full down to the table, and everything the arm passes by is `margin` larger than it was seen. What is
     to be taken, or is carried, is exactly as large as it was seen, and where it is there is nothing else. Its
-    underside, which no camera sees, lies up to 2 cm below what was seen of it, and no lower than the table.
+    underside, which no camera sees, lies up to 2 cm below what was seen of it, no lower than the table, and nowhere
+    that was seen to be empty: fingers may reach under the rim of a bowl that a camera looked under.
 
     Args:
         robot: whose description is read; it is not moved.
@@ -63,14 +64,20 @@ class Clearance:
 
         self._scene = ArmScene(self.world(), robot.chain.lower, robot.chain.upper)
 
-    def see(self, points: Float, others: Float) -> None:
-        """Take (N, 3) points of an object and (M, 3) of everything else for what is there now; nothing is carried."""
+    def see(self, points: Float, others: Float, empty: Float = _NOWHERE) -> None:
+        """Take what is given for what is there now; nothing is carried.
+
+        Args:
+            points: (N, 3) of an object.
+            others: (M, 3) of everything else.
+            empty: (K, 3) of space below the object's points that was seen to be empty (`hidden.empty_below`).
+        """
         self.points = points
         self._others = standing(around(others, _COARSE_M, self._margin)) if len(others) else None
         if not len(points):
             self._load = self._passed = None
         else:
-            self._load = deepened(around(points, _FINE_M), _UNDERSIDE_M)
+            self._load = with_underside(points, empty)
             whole = np.concatenate([points, self._load.centers])
             self._passed = around(whole, _COARSE_M, self._margin)
             if self._others is not None:

@@ -6,9 +6,17 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from toolkit.geometry import CUBE_STEPS
 from toolkit.types import Cubes, Float
+
+FINE_M = 0.002
+"""Side of the cubes of what is taken and carried."""
+
+_UNDERSIDE_M = 0.02
+_SAME_PLACE_M = FINE_M * np.sqrt(3)
+"""The middles of the cubes that hold one point, before and after a motion, are at most this far apart."""
 
 
 def around(points: Float, side: float, margin: float = 0.0) -> Cubes:
@@ -40,6 +48,29 @@ def deepened(cubes: Cubes, depth: float, floor: float = 0.0) -> Cubes:
     below[:, 2] -= np.tile(np.arange(1, steps + 1), len(lowest))
     below = below[below[:, 2] >= int(np.floor(floor / cubes.side))]
     return Cubes(np.concatenate([cubes.cells, below]), cubes.side)
+
+
+def underside(points: Float) -> Cubes | None:
+    """Fine cubes of what no camera sees of an object, 2 cm below its (N, 3) points at most, N > 0, above the table."""
+    seen = around(points, FINE_M)
+    return without(deepened(seen, _UNDERSIDE_M), seen)
+
+
+def with_underside(points: Float, empty: Float) -> Cubes:
+    """Fine cubes of an object and of its underside.
+
+    Args:
+        points: (N, 3) of the object, N > 0.
+        empty: (K, 3) middles of cubes, in any orientation, where the underside is not.
+    """
+    seen, below = around(points, FINE_M), underside(points)
+    if below is None:
+        return seen
+    cells = below.cells
+    if len(empty):
+        away, _ = KDTree(empty).query(below.centers)
+        cells = cells[away > _SAME_PLACE_M]
+    return Cubes(np.concatenate([seen.cells, cells]), FINE_M)
 
 
 def without(cubes: Cubes, other: Cubes) -> Cubes | None:

@@ -189,7 +189,8 @@ class Arm(Plugin[ArmConfig], Executor):
         expected = wanted if failure is None else np.eye(4)
         moved = eye.placed(expected)
         stands = expected if isinstance(moved, Failure) else moved
-        self._planner.clearance.see(transform_points(stands, request.points), request.others)
+        clearance = self._planner.clearance
+        clearance.see(transform_points(stands, request.points), request.others, transform_points(stands, request.empty))
         if isinstance(moved, Failure):
             return failure, None
         return failure or self._slipped(request.points.mean(axis=0), moved, wanted), moved

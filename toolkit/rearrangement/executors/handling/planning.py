@@ -108,7 +108,7 @@ class ArmPlanner:
         gripper = self._tools.model.gripper
         asked = GraspRequest.of(request, gripper, self._settings.approach_m)
         grasps = self._tools.grasper.grasp(asked, seed)
-        self.clearance.see(request.points, request.others)
+        self.clearance.see(request.points, request.others, request.empty)
         wide, opens = Footprint.of(request.points).width, gripper.stroke_m
         if isinstance(grasps, Failure) and wide > opens:
             reason = f"the object is {100 * wide:.1f} cm wide, the gripper opens {100 * opens:.1f} cm"
