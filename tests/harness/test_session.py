@@ -9,6 +9,7 @@ import pytest
 
 import toolkit
 from toolkit.errors import ToolkitError
+from toolkit.geometry import invert
 from toolkit.harness.experiment import load_experiment, only_cell
 from toolkit.perception.checks.capture import RefusedError
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, camera, shoot
@@ -53,9 +54,10 @@ def test_a_capture_that_cannot_be_right_is_refused_and_the_session_goes_on(sessi
     with pytest.raises(ToolkitError, match="call `database` first"):
         session.estimate(goal_frame())
     session.database(current_frames())
-    with pytest.raises(RefusedError, match="OpenGL"):
-        away = replace(goal_frame().camera, T_world_camera=goal_frame().camera.T_world_camera @ FLIP)
-        session.estimate(replace(goal_frame(), camera=away))
+    for wrong, cause in ((lambda T: T @ FLIP, "OpenGL"), (invert, "camera-to-world")):
+        with pytest.raises(RefusedError, match=cause):
+            away = replace(goal_frame().camera, T_world_camera=wrong(goal_frame().camera.T_world_camera))
+            session.estimate(replace(goal_frame(), camera=away))
     assert session.findings[0].severity == "refused"
     assert session.estimate(goal_frame())
 

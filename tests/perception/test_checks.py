@@ -194,6 +194,15 @@ def test_a_goal_of_another_convention_is_refused_by_name(undo, cause):
     assert cause in finding.sentence
 
 
+@pytest.mark.parametrize("undo", [invert, scaled(1e-3)])
+def test_a_mistake_in_writing_is_undone_in_the_world_it_was_made_in(undo):
+    elsewhere = make_transform(Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix(), np.array([0.4, -0.7, 0.2]))
+    wrong, moved = posed(goal(), undo), [frame.moved(elsewhere) for frame in frames()]
+    finding = only(check_goal(wrong.moved(elsewhere), moved, invert(elsewhere)))
+    assert finding.severity == "refused"
+    assert finding.sentence == only(check_goal(wrong, frames())).sentence
+
+
 def test_a_single_view_and_its_goal_of_another_convention_are_refused_by_name():
     finding = only(check_goal(posed(goal(), lambda T: T @ FLIP), [posed(frames()[0], lambda T: T @ FLIP)]))
     assert finding.severity == "refused"

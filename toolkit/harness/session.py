@@ -68,9 +68,9 @@ class Session:
         """
         scene = self.scene
         # In the table's own frame, where it has been found already.
-        level = scene.database.level
-        in_level = goal.moved(invert(scene.database.T_world_level))
-        self.findings = by_severity([*self._of_frames, *check_goal(in_level, level.frames)])
+        level, T_world_level = scene.database.level, scene.database.T_world_level
+        in_level = goal.moved(invert(T_world_level))
+        self.findings = by_severity([*self._of_frames, *check_goal(in_level, level.frames, T_world_level)])
         refuse(self.findings)
         return doubted(scene.estimate(goal), self.findings)
 

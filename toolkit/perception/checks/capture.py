@@ -12,7 +12,7 @@ from toolkit.perception.checks.poses import check_poses
 from toolkit.perception.checks.sighting import sight
 from toolkit.perception.checks.tint import check_tint
 from toolkit.perception.tabletop.table import find_table
-from toolkit.types import Capture, Finding, Frame, PoseEstimate
+from toolkit.types import Capture, Finding, Float, Frame, PoseEstimate
 
 _UNSEEN = 0.5
 
@@ -46,15 +46,23 @@ def check_current(frames: Sequence[Frame]) -> list[Finding]:
     return by_severity([*check_exposure(frames), *blind, *check_poses(sightings)])
 
 
-def check_goal(goal: Frame, frames: Sequence[Frame]) -> list[Finding]:
-    """Say what is wrong with a goal image, worst first, given current frames that can be right."""
+def check_goal(goal: Frame, frames: Sequence[Frame], T_world_frames: Float | None = None) -> list[Finding]:
+    """Say what is wrong with a goal image, worst first, given current frames that can be right.
+
+    Args:
+        goal: in the same frame of reference as `frames`.
+        frames: the current ones.
+        T_world_frames: (4, 4) from there into the world in which the poses were written down; None where that is it.
+    """
     try:
         table = find_table(frames)
     except ToolkitError:
         # The current frames' own findings say so.
         return check_goal_exposure(goal)
     # Colours are compared only where the goal shows the same table.
-    return by_severity([*check_goal_exposure(goal), *(check_table(goal, table) or check_tint(goal, table))])
+    return by_severity(
+        [*check_goal_exposure(goal), *(check_table(goal, table, T_world_frames) or check_tint(goal, table))]
+    )
 
 
 def refuse(findings: Sequence[Finding]) -> None:

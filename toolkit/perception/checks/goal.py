@@ -30,12 +30,20 @@ _UNITS = tuple(
 )
 
 
-def check_table(goal: Frame, table: Table) -> list[Finding]:
-    """Compare a goal image with the table that the current frames show."""
-    return [replace(finding, shown="table") for finding in _compared(goal, table)]
+def check_table(goal: Frame, table: Table, T_world_frames: Float | None = None) -> list[Finding]:
+    """Compare a goal image with the table that the current frames show.
+
+    Args:
+        goal: in the same frame of reference as the table's frames.
+        table: of the current frames.
+        T_world_frames: (4, 4) from there into the world in which the poses were written down, since a mistake in
+            writing is undone only there; None where that is it.
+    """
+    T = np.eye(4) if T_world_frames is None else T_world_frames
+    return [replace(finding, shown="table") for finding in _compared(goal, table, T)]
 
 
-def _compared(goal: Frame, table: Table) -> list[Finding]:
+def _compared(goal: Frame, table: Table, T_world_frames: Float) -> list[Finding]:
     plans = bare_plans(table)
     own = between(plans)
     for how, axes in FLIPS.items() if _strange(own) > _STRANGE else ():
@@ -49,7 +57,7 @@ def _compared(goal: Frame, table: Table) -> list[Finding]:
         return []
     blind = f"the goal image shows {'no' if share < _LEAST_SHARE else 'another'} table, by its pose"
     for suspect in (*AXES, *_UNITS):
-        seen = _likeness(goal, _undone(suspect, goal, table), table, plans)
+        seen = _likeness(goal, _undone(suspect, goal, table, T_world_frames), table, plans)
         if len(seen) >= PATCHES and np.median(seen) > _LIKE:
             return [Finding("refused", f"{blind}, and {suspect.sentence}")]
     if share < _LEAST_SHARE:
@@ -75,17 +83,17 @@ def _strange(alike: Float) -> float:
     return float((alike < _LIKE).mean()) if len(alike) >= PATCHES else 0.5 * (_STRANGE + _FAMILIAR)
 
 
-def _undone(suspect: Suspect, goal: Frame, table: Table) -> Float:
+def _undone(suspect: Suspect, goal: Frame, table: Table, T_world_frames: Float) -> Float:
     """(4, 4) the goal's pose without a suspect mistake.
 
     Several frames that agree are right. A single one may be wrong in the same way, and the goal's pose counts from it.
     """
-    meant = suspect.undo(goal.camera.T_world_camera)
+    meant = suspect.undo(T_world_frames @ goal.camera.T_world_camera)
     first, *others = table.frames
     if others:
-        return meant
+        return invert(T_world_frames) @ meant
     stated = first.camera.T_world_camera
-    return stated @ invert(suspect.undo(stated)) @ meant
+    return stated @ invert(suspect.undo(T_world_frames @ stated)) @ meant
 
 
 def _likeness(goal: Frame, pose: Float, table: Table, plans: list[Plan]) -> Float:
