@@ -49,6 +49,34 @@ def test_labels_are_as_large_a_part_of_a_large_picture(factor):
     np.testing.assert_allclose(written(factor) / factor, written(1), rtol=0.1)
 
 
+PLATE = (24, 24, 28)
+"""What labels stand on."""
+
+
+def outlined(*places):
+    """The goal image with a square of 12 px at each place (x, y), in its colour; the first has no label."""
+    goal = Frame(0, np.zeros((240, 320, 3), np.uint8), Camera(np.diag([300.0, 300, 1]), np.eye(4), 320, 240))
+    squares = []
+    for i, (x, y) in enumerate(places):
+        mask = np.zeros((240, 320), bool)
+        mask[y : y + 12, x : x + 12] = True
+        squares.append((f"{i}: unknown" * (i > 0), mask, (255 - i, 0, 0)))
+    return overlay(goal, [], squares)
+
+
+@pytest.mark.parametrize("neighbour", [(160, 80), (160, 128), (130, 80)])
+def test_a_label_covers_neither_its_neighbours_nor_what_it_names(neighbour):
+    picture = outlined(neighbour, (160, 104))
+    for x, y in (neighbour, (160, 104)):
+        assert not (picture[y : y + 12, x : x + 12] == PLATE).all(axis=2).any()
+
+
+def test_labels_of_things_in_a_heap_do_not_cover_each_other():
+    picture = outlined((20, 20), *((150 + 3 * i, 100 + 2 * i) for i in range(5)))
+    one, all_of_them = ((p == PLATE).all(axis=2).sum() for p in (outlined((20, 20), (150, 100)), picture))
+    assert all_of_them > 0.9 * 5 * one
+
+
 @pytest.mark.parametrize("size", [(240, 320), (1080, 1920), (1920, 1080)])
 def test_a_long_sentence_is_folded_beneath_a_picture(size):
     picture = np.zeros((*size, 3), np.uint8)

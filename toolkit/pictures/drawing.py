@@ -27,6 +27,10 @@ _TINT = 0.35
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _PLATE = (24, 24, 28)
 _SPLAT_RADIUS_PX = 3
+
+_LABEL_WORTH = 100
+"""What a label's pixel is worth beside one of an object: two labels on each other cannot be read."""
+
 _MAX_FRAMES = 3
 
 _AROUND, _LEAST_PART = 0.04, 0.2
@@ -112,26 +116,44 @@ def overlay(
     for _, contours, color in drawn:
         cv2.polylines(picture, contours, True, (0, 0, 0), letters.px(4), cv2.LINE_AA)
         cv2.polylines(picture, contours, True, color, letters.px(2), cv2.LINE_AA)
-    taken: list[tuple[int, int, int, int]] = []
+    worth = np.zeros(picture.shape[:2], np.int32)
+    for _, contours, _ in drawn:
+        cv2.drawContours(worth, contours, -1, 1, cv2.FILLED)
     for label, contours, color in (entry for entry in drawn if entry[0]):
-        center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), taken, letters)
-        taken.append(_plate(picture, label, center, letters))
+        center = _free_place(picture, label, cv2.boundingRect(np.concatenate(contours)), worth, letters)
+        left, top, right, bottom = _plate(picture, label, center, letters)
+        worth[top:bottom, left:right] = _LABEL_WORTH
         _write_label(picture, label, center, color, letters)
     return picture
 
 
 def _free_place(
-    picture: Image, label: str, box: Sequence[int], taken: Sequence[tuple[int, int, int, int]], letters: _Lettering
+    picture: Image, label: str, box: Sequence[int], worth: NDArray[np.int32], letters: _Lettering
 ) -> tuple[int, int]:
-    """Where a label covers no other one: above what it names, below it, or further down."""
+    """Where a label covers least, of labels and of what is outlined: above what it names, below it, beside it, or away.
+
+    Args:
+        picture: to be written on.
+        label: the text.
+        box: x, y, width and height of what it names, pixels.
+        worth: (H, W) what every pixel is worth to be seen.
+        letters: how large they are.
+    """
     x, y, w, h = box
-    below = y + h + letters.px(14)
-    places = [(x + w // 2, y - letters.px(6)), *((x + w // 2, below + letters.line_px * k) for k in range(4))]
-    for place in places:
+    wide, high, _ = letters.size(label)
+    beside, level = wide // 2 + letters.px(10), y + (h + high) // 2
+    above, below = y - letters.px(6), y + h + letters.px(14)
+    places = [
+        *((x + w // 2, at) for at in (above, below)),
+        *((at, level) for at in (x - beside, x + w + beside)),
+        *((x + w // 2, at) for k in (1, 2, 3) for at in (below + letters.line_px * k, above - letters.line_px * k)),
+    ]
+
+    def covered(place: tuple[int, int]) -> int:
         left, top, right, bottom = _plate(picture, label, place, letters)
-        if not any(left < x1 and x0 < right and top < y1 and y0 < bottom for x0, y0, x1, y1 in taken):
-            return place
-    return places[0]
+        return int(worth[top:bottom, left:right].sum())
+
+    return min(places, key=covered)
 
 
 def with_legend(picture: Image, entries: Sequence[tuple[str, Color]]) -> Image:
