@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rich.console import Console
@@ -53,6 +55,14 @@ def test_doubts_come_with_their_reason_and_what_is_sure_without():
         "not seen in the goal: #7, #8",
     ]
     assert not list(to_look_at(ESTIMATES[:1], [], []))
+
+
+def test_what_holds_for_several_objects_is_said_once():
+    alike = [replace(ESTIMATES[4], goal_object=number) for number in (4, 6, 9)]
+    assert list(to_look_at([*alike[:2], ESTIMATES[3], alike[2]], [], [])) == [
+        "objects 4, 6, 9: unknown: it is new, or hidden in all frames",
+        "object 3: withheld: confidence 0.02 is below 0.05",
+    ]
 
 
 @pytest.mark.parametrize(

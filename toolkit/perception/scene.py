@@ -108,7 +108,8 @@ class Scene:
         """Why a goal object that is not looked for has no motion."""
         if not len(self.database):
             return Failure("segmenter", "no object region was found in the current frames")
-        return Failure("explainer", "no object of the current scene explains it: it is new, or hidden in all frames")
+        causes = "it is new, hidden in all frames, or bare table"
+        return Failure("explainer", f"no object of the current scene explains it: {causes}")
 
     def _from_matches(self, goal: Frame, number: int, segment: Segment, ranking: NDArray[np.int64]) -> PoseEstimate:
         """The best supported motion of the instances that were accepted."""

@@ -72,17 +72,25 @@ def to_look_at(estimates: Sequence[PoseEstimate], missing: Sequence[int], findin
     """
     for finding in findings:
         yield f"the capture ({finding.severity}): {finding.sentence}"
+    doubts: dict[str, list[int]] = {}
     for estimate in estimates:
-        words = in_words(estimate)
-        if words == "doubtful":
-            others = 0 if estimate.equivalents is None else len(estimate.equivalents) - 1
-            alike = f"; {others} other motion{'s' if others > 1 else ''} would look the same" if others else ""
-            yield f"object {estimate.goal_object}: the motion is doubtful{alike}"
-        elif estimate.failure is not None:
-            yield f"object {estimate.goal_object}: {words}: {estimate.failure.reason}"
+        if doubt := _doubt(estimate):
+            doubts.setdefault(doubt, []).append(estimate.goal_object)
+    for doubt, objects in doubts.items():
+        yield f"object{'s' * (len(objects) > 1)} {', '.join(map(str, objects))}: {doubt}"
     if missing:
         named = ", ".join(f"#{instance}" for instance in missing)
         yield f"not seen in the goal: {named}"
+
+
+def _doubt(estimate: PoseEstimate) -> str:
+    """What a person should know of an object before it is moved; empty where there is nothing."""
+    words = in_words(estimate)
+    if words == "doubtful":
+        others = 0 if estimate.equivalents is None else len(estimate.equivalents) - 1
+        alike = f"; {others} other motion{'s' if others > 1 else ''} would look the same" if others else ""
+        return f"the motion is doubtful{alike}"
+    return "" if estimate.failure is None else f"{words}: {estimate.failure.reason}"
 
 
 def why_nothing(estimates: Sequence[PoseEstimate], regions: int) -> str:
