@@ -21,7 +21,7 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, project
 from toolkit.pictures.cases import write_case
 from toolkit.pictures.drawing import overlay
-from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.comparisons import compare_cells, comparison_table, shown_in_words
 from toolkit.results.completion import telling_scenes
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.report import write_completion_report, write_report
@@ -69,6 +69,24 @@ def test_the_scenes_that_tell_most_are_the_worst_and_some_of_the_best():
     ]
     assert telling_scenes(rows, 8, 2) == [1, 2, 4, 0, 3]
     assert telling_scenes(rows, 3, 1) == [1, 2, 3]
+
+
+def test_a_page_says_at_once_whether_its_difference_is_shown(write):
+    first = re.search(r"<header>.*?</header>", write(0.9, 0.85), re.S)[0]
+    assert "<strong>&lt;script&gt;bad against good: no difference shown;" in first
+    assert "40.0 points worse." in re.search(r"<header>.*?</header>", write(0.9, 0.5), re.S)[0]
+
+
+def test_many_comparisons_are_counted():
+    rows = make_rows("a", 0.9) + make_rows("b", 0.9)
+    assert shown_in_words(compare_cells(rows[:60])) == ""
+    assert shown_in_words(compare_cells(rows)) == "b against a: the same on every object."
+    same = shown_in_words(compare_cells(rows + make_rows("c", 0.9)))
+    assert same == "Of 2 comparisons, none shows a difference."
+    some = shown_in_words(compare_cells(rows + make_rows("c", 0.2)))
+    assert some == "Of 2 comparisons, 1 shows a difference."
+    most = shown_in_words(compare_cells(rows + make_rows("c", 0.2) + make_rows("d", 0.1)))
+    assert most == "Of 3 comparisons, 2 show a difference."
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -316,7 +334,8 @@ def test_a_table_is_the_same_in_every_form():
         ["the paper", "inf", "", "", ""],
     ]
     assert TABLE.markdown().splitlines()[-3::2] == ["| a_1 | 90% [80, 96] | x < 5° |", "| *the paper* | *∞* |  |"]
-    latex = TABLE.latex().splitlines()
+    latex, made = TABLE.latex().splitlines(), TABLE.latex("toolkit ablate 'a\nb'").splitlines()
+    assert made == [latex[0], "% toolkit ablate 'a b'", *latex[1:]]
     assert latex[2] == r"\begin{tabular}{lrl}" and r"\toprule" in latex
     assert r"a\_1 & 90\% {\scriptsize [80, 96]} & x $<$ 5$^\circ$ \\" in latex
     assert r"\textit{the paper} & \textit{$\infty$} &  \\" in latex
@@ -356,5 +375,5 @@ def test_the_page_says_what_was_run_and_what_sets_its_cells_apart(write, tmp_pat
     assert "Two matchers" in page and "Which is better?" in page and "toolkit ablate &#39;my file&#39;" in page
     assert "<dt>scenes</dt><dd>20</dd>" in page and "<dt>views</dt><dd>all</dd>" in page
     assert "<dt>light</dt>" not in page
-    assert "matcher sift</td>" in page and "matcher loftr</td>" in page  # what belongs to each matcher says nothing
+    assert "matcher sift</td>" in page and "matcher loftr; matcher.weights outdoor</td>" in page  # a ratio says nothing
     assert "good" in (tmp_path / "tables" / "comparisons.csv").read_text().splitlines()[1].split(",")[0]

@@ -98,7 +98,7 @@ def show_run(run: Path) -> None:
     from rich.console import Console
 
     from toolkit.harness.drive import kind_of
-    from toolkit.results.folder import PAGE
+    from toolkit.results.folder import FIGURES, PAGE, TABLES
 
     kind_of(run).print(run, Console())
-    say(f"\nReport: {run / PAGE}")
+    say(f"\nReport: {run / PAGE}", f"For a paper: {run / TABLES} (LaTeX, CSV), {run / FIGURES} (PDF, SVG)")

@@ -87,12 +87,17 @@ def _short(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
+def _names_weights(key: str) -> bool:
+    """Whether a setting says which checkpoint a stage has: two of one architecture are two methods."""
+    return key.endswith(".weights")
+
+
 def _apart(cells: Mapping[str, Mapping[str, str]]) -> tuple[dict[str, str], dict[str, str]]:
     """The settings all cells share, without the stages' own; and for every cell those that differ, in words."""
     keys: Sequence[str] = list(dict.fromkeys(key for cell in cells.values() for key in cell))
     differing = [key for key in keys if len({cell.get(key) for cell in cells.values()}) > 1]
     stages = {key for key in differing if "." not in key}
-    shown = [key for key in differing if key.partition(".")[0] not in stages or key in stages]
+    shown = [key for key in differing if key.partition(".")[0] not in stages or key in stages or _names_weights(key)]
     first = next(iter(cells.values()), {})
     shared = {
         key.removeprefix("scenes."): first[key]

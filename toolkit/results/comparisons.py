@@ -175,6 +175,17 @@ def comparison_table(comparisons: Sequence[Comparison]) -> FigureTable:
     return FigureTable(f"{title}; points [95 % interval], p by McNemar, Holm over {asked}", columns, lines)
 
 
+def shown_in_words(comparisons: Sequence[Comparison]) -> str:
+    """Whether the comparisons of a run show a difference, in a sentence; empty where nothing is compared."""
+    if not comparisons:
+        return ""
+    if len(comparisons) == 1:
+        (only,) = comparisons
+        return f"{only.cell} against {only.against}: {only.verdict}."
+    shown = sum(comparison.shown for comparison in comparisons)
+    return f"Of {len(comparisons)} comparisons, {shown or 'none'} show{'s' * (shown < 2)} a difference."
+
+
 def print_tables(figures: FigureTable, comparisons: Sequence[Comparison], console: Console) -> None:
     """Print a run's figures, and its comparisons where there are any."""
     figures.print(console)

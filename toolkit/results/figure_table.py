@@ -146,8 +146,12 @@ class FigureTable:
             writer.writerow([number for group in groups for number in group])
         return buffer.getvalue()
 
-    def latex(self) -> str:
-        r"""The whole table as a tabular of the package booktabs, to stand in a `table`; intervals in small print."""
+    def latex(self, command: str = "") -> str:
+        r"""The whole table as a tabular of the package booktabs, to stand in a `table`; intervals in small print.
+
+        Args:
+            command: what made the run, to stand in a comment; empty where that is not known.
+        """
         layout = "".join(map(self._latex_column, range(len(self.columns))))
         head = [column.heading.translate(_LATEX) for column in self.columns]
         body: list[str] = []
@@ -157,7 +161,8 @@ class FigureTable:
         rows = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule", *body]
         ends = [r"\bottomrule", r"\end{tabular}"]
         needed = r"% \usepackage{booktabs}; where it is too wide, graphicx and \resizebox{\linewidth}{!}{\input{FILE}}"
-        return "\n".join([f"% {self.title}", needed, *rows, *ends]) + "\n"
+        made = [f"% {' '.join(command.split())}"] if command else []
+        return "\n".join([f"% {self.title}", *made, needed, *rows, *ends]) + "\n"
 
     def _latex_column(self, i: int) -> str:
         if i and self.columns[i].kind == "number":

@@ -15,7 +15,7 @@ from markupsafe import Markup, escape
 from toolkit.errors import ToolkitError
 from toolkit.files import write_text
 from toolkit.results.about import About
-from toolkit.results.comparisons import compare_cells, comparison_table
+from toolkit.results.comparisons import compare_cells, comparison_table, shown_in_words
 from toolkit.results.figure_table import Column, Figure, FigureTable, Line
 from toolkit.results.folder import FIGURES, PAGE, ROWS, TABLE, TABLES
 from toolkit.results.report.cases import read_cases
@@ -67,9 +67,10 @@ def write_page(
     cells = by_cell(rows)
     colors = cell_colors(list(cells))
     sizes = Counter((row.cell, row.scene_id) for row in rows)
+    comparisons = compare_cells(rows, about.reference)
     tables = {
         **tables,
-        "comparisons": comparison_table(compare_cells(rows, about.reference)),
+        "comparisons": comparison_table(comparisons),
         "failures": _failure_table(rows),
         "hardest": _hardest_table(best, cells[best]),
         "cells": _cell_table(about.own),
@@ -82,6 +83,7 @@ def write_page(
     page = _template(template, colors).render(
         about=about,
         best=best,
+        shown=shown_in_words(comparisons),
         tables=tables,
         plots={plot.name: Markup(plot.svg()) for plot in plots},
         cases=read_cases(run),
@@ -94,7 +96,7 @@ def write_page(
     for name, table in tables.items():
         if table.lines:
             write_text(run / TABLES / f"{name}.csv", table.csv())
-            write_text(run / TABLES / f"{name}.tex", table.latex())
+            write_text(run / TABLES / f"{name}.tex", table.latex(about.command))
     for plot in plots:
         plot.write(run / FIGURES)
     return run / PAGE
