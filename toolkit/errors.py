@@ -11,8 +11,8 @@ class ToolkitError(Exception):
 
 
 def suggest(word: str, choices: list[str]) -> str:
-    """The tail of an unknown-name message: the nearest choice, or all of them."""
-    nearest = process.extractOne(word, choices, score_cutoff=60)
+    """The tail of an unknown-name message: the nearest choice, capitals or not; or all of them."""
+    nearest = process.extractOne(word, choices, score_cutoff=60, processor=str.lower)
     if nearest:
         return f"; did you mean '{nearest[0]}'?"
     return f"; choose from: {', '.join(choices)}" if choices else ""

@@ -35,6 +35,7 @@ FEW = ["--scenes", "1", "--set", "dataset.views=2", "--set", "dataset.max_object
 MISTAKES = {
     "unknown experiment": (["ablate", "quik"], "did you mean 'quick'?"),
     "unknown stage name": (["ablate", "--matcher", "sfit"], "unknown matcher 'sfit'; did you mean 'sift'?"),
+    "several names at once": (["ablate", "--goal-segmenter", "oracle, masks"], "oracle --goal-segmenter masks"),
     "unknown setting": (["ablate", "--set", "pipeline.matcher.ratoi=0.8"], "did you mean 'ratio'?"),
     "unknown path": (["ablate", "--set", "pipelin.views=1"], "did you mean 'pipeline'?"),
     "a --set without a value": (["ablate", "--set", "pipeline.views"], "--set takes path.to.key=value"),

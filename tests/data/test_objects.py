@@ -107,6 +107,7 @@ BAD = {
     "JSON that does not parse": (lambda f: (f / "objects.json").write_text("{"), "not valid JSON"),
     "empty": (lambda f: [shutil.rmtree(p) for p in f.iterdir()], "holds no object"),
     "absent": (shutil.rmtree, "is not a folder"),
+    "one object": (lambda f: shutil.copytree(_first(f, "textured.obj").parent, f, dirs_exist_ok=True), "of one object"),
 }
 
 

@@ -103,11 +103,9 @@ def _implementation(stage: str, name: str | None) -> type[Plugin]:
 
 
 def _show_part(part: str) -> None:
-    from toolkit.data.scene import TabletopConfig
-    from toolkit.harness.experiment import PipelineChoice, RearrangeChoice
+    from toolkit.harness.experiment import PARTS
 
-    models = {"dataset": TabletopConfig, "pipeline": PipelineChoice, "rearrange": RearrangeChoice}
-    say(f"The part `{part}:` of an experiment; on the command line --set {part}.SETTING=VALUE", _settings(models[part]))
+    say(f"The part `{part}:` of an experiment; on the command line --set {part}.SETTING=VALUE", _settings(PARTS[part]))
 
 
 def _settings(model: type[BaseModel]) -> Table:

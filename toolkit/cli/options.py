@@ -138,12 +138,23 @@ def read_experiment(name: str, choices: Mapping[str, Any], *, rearranges: bool =
     from toolkit.settings import parse_set
 
     register_plugin_files(choices.get("plugin", ()))
+    for slot in SLOTS | REARRANGE_SLOTS:
+        _require_one_name_each(slot, choices.get(slot, ()))
     overrides: dict[str, list[Any]] = {f"pipeline.{slot}": choices[slot] for slot in SLOTS if choices.get(slot)}
     overrides |= {f"rearrange.{slot}": choices[slot] for slot in REARRANGE_SLOTS if choices.get(slot)}
     overrides |= dict(map(parse_set, choices.get("set", ())))
     if choices.get("seed") is not None:
         overrides["seed"] = [choices["seed"]]
     return load_experiment(name, overrides, rearranges=rearranges)
+
+
+def _require_one_name_each(slot: str, names: Iterable[str]) -> None:
+    """Refuse `--matcher a,b`, since --set takes commas and these options do not; say how it is done."""
+    option = f"--{slot.replace('_', '-')}"
+    for name in names:
+        if "," in name:
+            each = " ".join(f"{option} {part.strip()}" for part in name.split(",") if part.strip())
+            raise ToolkitError(f"{option} takes one name, got '{name}'; give it once for each: {each}")
 
 
 def read_cell(experiment: str, choices: Mapping[str, Any], *, rearranges: bool = False) -> Cell:

@@ -78,6 +78,8 @@ def find_scans(folder: Path) -> list[Scan]:
     """
     if not folder.is_dir():
         raise ToolkitError(f"object set '{folder}' is not a folder; give 'procedural' or a folder of scans")
+    if any((folder / mesh).is_file() for mesh, _ in _LAYOUTS):
+        raise ToolkitError(f"'{folder}' is the folder of one object; name the folder that holds it: '{folder.parent}'")
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
     objects = [entry for entry in entries if entry.is_dir() or entry.suffix.lower() in _MESHES]
     if not objects:

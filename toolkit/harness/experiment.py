@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from toolkit.data.scene import TabletopConfig
 from toolkit.data.source import resolve_settings
 from toolkit.errors import ToolkitError, suggest
 from toolkit.harness.hooks import HOOKS
@@ -90,6 +91,14 @@ class Experiment(BaseModel):
     sweep: dict[str, list[Annotated[NamedValue | Any, Field(union_mode="left_to_right")]]] = Field(
         default_factory=dict[str, list[Any]], description="Values by path; {name: ..., value: ...} names one."
     )
+
+
+PARTS: dict[str, type[BaseModel]] = {
+    "dataset": TabletopConfig,
+    "pipeline": PipelineChoice,
+    "rearrange": RearrangeChoice,
+}
+"""The settings of each part of an experiment."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +190,7 @@ def load_experiment(
             if values:
                 assign(data, key, _value(values[0]))
     for key, values in (overrides or {}).items():
+        _require_part(key)
         _override(data, key, list(values))
     experiment = validated(Experiment, data, what)
     plugins = tuple((path.parent / plugin).absolute() for plugin in experiment.plugins)
@@ -279,6 +289,14 @@ def _said(experiment: Experiment, overrides: Mapping[str, Sequence[Any]]) -> dic
     said = [f"With the settings of '{experiment.name}'." if swept else experiment.description]
     said += [f"Changed: {', '.join(changed)}."] if changed else []
     return {"title": "; ".join(swept) or title, "description": " ".join(filter(None, said))}
+
+
+def _require_part(path: str) -> None:
+    """Refuse the path of a setting that lacks the name of its part, and say which that is."""
+    first, *_ = keys_of(path)
+    homes = [part for part, model in PARTS.items() if first in model.model_fields]
+    if homes and first not in Experiment.model_fields:
+        raise ToolkitError(f"cannot set '{path}': there is no '{first}'; did you mean '{homes[0]}.{path}'?")
 
 
 def _override(data: dict[str, Any], path: str, values: list[Any]) -> None:
