@@ -113,6 +113,17 @@ def test_every_page_says_what_goes_wrong_and_how_it_was_made(write, tmp_path):
 
 
 @pytest.mark.usefixtures("no_plots")
+def test_the_hardest_objects_have_both_their_errors(tmp_path):
+    far = [row.model_copy(update={"translation_error_cm_sym": 8.25, "success_sym": False}) for row in make_rows("a", 1)]
+    write_rows(tmp_path / "rows.jsonl", far[:1])
+    write_report(tmp_path)
+    with (tmp_path / "tables" / "hardest.csv").open() as file:
+        (line,) = csv.DictReader(file)
+    assert (line["right"], line["seen"]) == ("0", "1")
+    assert (float(line["median rotation, deg"]), float(line["median translation, cm"])) == (1.0, 8.25)
+
+
+@pytest.mark.usefixtures("no_plots")
 def test_what_is_all_right_has_nothing_wrong(write):
     page = write(1.0, 1.0)
     assert page.count(">nothing</td>") == 2

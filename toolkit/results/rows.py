@@ -59,6 +59,11 @@ class Judged(Protocol):
         """Rotation error, deg, symmetry-aware; None where there is no motion."""
         ...
 
+    @property
+    def translation_error_cm_sym(self) -> float | None:
+        """Translation error, cm, symmetry-aware; None where there is no motion."""
+        ...
+
 
 JudgedT = TypeVar("JudgedT", bound=Judged)
 

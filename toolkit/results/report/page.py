@@ -117,11 +117,11 @@ def _hardest_table(cell: str, rows: Sequence[JudgedT]) -> FigureTable:
         by_name.setdefault(row.object_name, []).append(row)
     ranked = sorted(by_name.items(), key=lambda item: (np.mean([row.success_sym for row in item[1]]), item[0]))
     lines = tuple(
-        Line((name, Figure(sum(row.success_sym for row in own), form="d"), Figure(len(own), form="d"), _rotation(own)))
+        Line((name, *_counts(own), *_medians(own)))
         for name, own in ranked[:_MOST_OBJECTS]
         if not all(row.success_sym for row in own)
     )
-    columns = tuple(map(Column, ("object", "right", "seen", "median rotation, deg")))
+    columns = tuple(map(Column, ("object", "right", "seen", "median rotation, deg", "median translation, cm")))
     return FigureTable(f"The hardest objects of '{cell}'", columns, lines)
 
 
@@ -154,6 +154,13 @@ def _general(reason: str | None) -> str:
     return re.sub(r"\d+(\.\d+)?", "N", said_once)
 
 
-def _rotation(rows: Sequence[Judged]) -> str | Figure:
-    values = [row.rotation_error_deg_sym for row in rows if row.rotation_error_deg_sym is not None]
-    return Figure(float(np.median(values)), form=".1f") if values else "no pose"
+def _counts(rows: Sequence[Judged]) -> tuple[Figure, Figure]:
+    """How many are right, and how many there are."""
+    return Figure(sum(row.success_sym for row in rows), form="d"), Figure(len(rows), form="d")
+
+
+def _medians(rows: Sequence[Judged]) -> tuple[str | Figure, ...]:
+    """Median errors of those with a pose: deg and cm."""
+    kinds = [row.rotation_error_deg_sym for row in rows], [row.translation_error_cm_sym for row in rows]
+    known = [[error for error in errors if error is not None] for errors in kinds]
+    return tuple(Figure(float(np.median(errors)), form=".1f") if errors else "no pose" for errors in known)
