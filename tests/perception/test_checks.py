@@ -14,12 +14,25 @@ from scipy.spatial.transform import Rotation
 
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform
-from toolkit.perception.checks.capture import check_current, check_goal, doubted, refuse, usable
+from toolkit.perception.checks.capture import (
+    check_capture,
+    check_current,
+    check_goal,
+    doubted,
+    refuse,
+    together,
+    usable,
+)
 from toolkit.plugin_kit.conformance.raycast import NOW, THEN, K, camera, shoot
-from toolkit.types import Failure, Finding, PoseEstimate, Segment
+from toolkit.types import Capture, Failure, Finding, Frame, PoseEstimate, Segment
 
 VIEWS = 8
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+BODY = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""From ROS's axes of a body into those of a camera: forward is z, left -x, up -y."""
+
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From a world with z up into one with y up."""
 
 
 @lru_cache
@@ -85,6 +98,7 @@ def test_one_view_is_enough_and_a_bare_table_is_no_finding():
         (lambda T: T @ FLIP, "OpenGL"),
         (invert, "camera-to-world"),
         (lambda T: invert(T @ FLIP), "camera-to-world ones in OpenGL's axes"),
+        (lambda T: T @ BODY, "a body in ROS"),
         (transposed, "transposed"),
         (scaled(1e-3), "are the poses in metres?"),
         (scaled(0.1), "are the poses in centimetres?"),
@@ -186,7 +200,15 @@ def test_one_pose_for_all_frames_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("undo", "cause"), [(lambda T: T @ FLIP, "OpenGL"), (invert, "camera-to-world"), (scaled(1e-3), "in metres")]
+    ("undo", "cause"),
+    [
+        (lambda T: T @ FLIP, "OpenGL"),
+        (lambda T: T @ BODY, "a body in ROS"),
+        (invert, "camera-to-world"),
+        (scaled(1e-3), "in metres"),
+        (lambda T: Y_UP @ T, "another axis up"),
+        (lambda T: invert(Y_UP) @ T, "another axis up"),
+    ],
 )
 def test_a_goal_of_another_convention_is_refused_by_name(undo, cause):
     finding = only(check_goal(posed(goal(), undo), frames()))
@@ -201,6 +223,50 @@ def test_a_mistake_in_writing_is_undone_in_the_world_it_was_made_in(undo):
     finding = only(check_goal(wrong.moved(elsewhere), moved, invert(elsewhere)))
     assert finding.severity == "refused"
     assert finding.sentence == only(check_goal(wrong, frames())).sentence
+
+
+@pytest.mark.parametrize(("factor", "size"), [(0.5, "half"), (2.0, "twice")])
+def test_a_goal_with_cam_K_of_another_size_is_refused_by_name(factor, size):
+    other = replace(goal().camera, K=goal().camera.K * [[factor], [factor], [1]])
+    finding = only(check_goal(replace(goal(), camera=other), frames()))
+    assert finding.severity == "refused"
+    assert f"{size} the size" in finding.sentence
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_a_goal_turned_by_a_quarter_is_refused_by_name(quarters):
+    turned = np.ascontiguousarray(np.rot90(goal().rgb, quarters))
+    height, width = turned.shape[:2]
+    wrong = Frame(0, turned, replace(goal().camera, width=width, height=height))
+    finding = only(check_goal(wrong, frames()))
+    assert (finding.severity, "turned by a quarter" in finding.sentence) == ("refused", True)
+
+
+def test_depth_along_rays_is_refused_by_name():
+    v, u = np.indices(goal().rgb.shape[:2])
+    stretch = np.sqrt(1 + ((u - K[0, 2]) / K[0, 0]) ** 2 + ((v - K[1, 2]) / K[1, 1]) ** 2)
+    finding = only(check_current([replace(f, depth=(f.depth * stretch).astype(np.float32)) for f in frames()]))
+    assert (finding.severity, "distances from the camera" in finding.sentence) == ("refused", True)
+
+
+def test_where_depth_is_in_two_units_the_frames_are_blamed_and_not_the_goal():
+    mixed = [replace(f, depth=f.depth * np.float32(0.25)) if i % 2 else f for i, f in enumerate(frames())]
+    found = check_capture(Capture("mixed", tuple(mixed), goal(), None, "", {}, {}))
+    assert "current frames contradict each other" in found[0].sentence and "in one unit" in found[0].sentence
+    assert "turned by 0.0 deg" not in found[0].sentence
+    assert found == together(check_current(mixed), check_goal(goal(), mixed))
+
+
+def test_frames_in_doubt_are_refused_with_a_goal_that_does_not_fit_them():
+    doubt, misfit = Finding("doubtful", "frames", 0.3, shown="cameras"), Finding("refused", "goal", shown="table")
+    other = Finding("doubtful", "dark", 0.3)
+    assert [f.severity for f in together([doubt, other], [])] == ["doubtful", "doubtful"]
+    found = together([doubt, other], [misfit])
+    assert [(f.severity, f.sentence) for f in found] == [
+        ("refused", "frames"),
+        ("refused", "goal"),
+        ("doubtful", "dark"),
+    ]
 
 
 def test_a_single_view_and_its_goal_of_another_convention_are_refused_by_name():

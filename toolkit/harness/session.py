@@ -9,7 +9,7 @@ from toolkit.errors import ToolkitError
 from toolkit.geometry import invert
 from toolkit.harness.experiment import Cell, load_experiment, only_cell
 from toolkit.harness.worker import make_runner, require_ready
-from toolkit.perception.checks.capture import by_severity, check_current, check_goal, doubted, refuse, usable
+from toolkit.perception.checks.capture import check_current, check_goal, doubted, refuse, together, usable
 from toolkit.perception.database import Database
 from toolkit.perception.scene import Scene
 from toolkit.types import Finding, Frame, PoseEstimate
@@ -70,7 +70,7 @@ class Session:
         # In the table's own frame, where it has been found already.
         level, T_world_level = scene.database.level, scene.database.T_world_level
         in_level = goal.moved(invert(T_world_level))
-        self.findings = by_severity([*self._of_frames, *check_goal(in_level, level.frames, T_world_level)])
+        self.findings = together(self._of_frames, check_goal(in_level, level.frames, T_world_level))
         refuse(self.findings)
         return doubted(scene.estimate(goal), self.findings)
 

@@ -43,11 +43,18 @@ class Agreement:
     @property
     def sound(self) -> bool:
         """Whether the poses can be right."""
-        return (
-            self.spread_deg < _TURNED_DEG
-            and self.off_table < _OFF_TABLE
-            and float(np.median(self.contradicted)) < _CONTRADICTED
-        )
+        return not self.faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What shows that the poses cannot be right, in words; empty where they can."""
+        through = float(np.median(self.contradicted))
+        said = {
+            f"{through:.0%} of what one sees on the table another looks through": through >= _CONTRADICTED,
+            f"{self.off_table:.0%} of the bare table is at another depth for another": self.off_table >= _OFF_TABLE,
+            f"their tables are turned by {self.spread_deg:.1f} deg": self.spread_deg >= _TURNED_DEG,
+        }
+        return tuple(words for words, wrong in said.items() if wrong)
 
 
 def agreement(sightings: Sequence[Sighting], poses: Sequence[Float]) -> Agreement:

@@ -26,7 +26,22 @@ def check_capture(capture: Capture) -> list[Finding]:
     findings = check_current(capture.current)
     if any(finding.severity == "refused" for finding in findings):
         return findings
-    return by_severity([*findings, *check_goal(capture.goal, usable(capture.current, findings))])
+    return together(findings, check_goal(capture.goal, usable(capture.current, findings)))
+
+
+def together(of_frames: Sequence[Finding], of_goal: Sequence[Finding]) -> list[Finding]:
+    """The findings of current frames and of their goal, worst first.
+
+    A goal that does not fit frames which contradict each other may be right itself: the frames are refused first.
+    """
+    misfit = any(finding.severity == "refused" and finding.shown == "table" for finding in of_goal)
+    judged = [
+        replace(finding, severity="refused")
+        if misfit and finding.severity == "doubtful" and finding.shown == "cameras"
+        else finding
+        for finding in of_frames
+    ]
+    return by_severity([*judged, *of_goal])
 
 
 def check_current(frames: Sequence[Frame]) -> list[Finding]:

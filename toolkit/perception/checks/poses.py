@@ -9,8 +9,9 @@ import numpy as np
 
 from toolkit.perception.checks.agreement import Agreement, agreement
 from toolkit.perception.checks.sighting import Sighting, sight
-from toolkit.perception.checks.suspects import AXES, FLIPS, STORE, length, scales
-from toolkit.types import Camera, Finding, Float, Frame
+from toolkit.perception.checks.suspects import AXES, CAM_K, FLIPS, SIZES, STORE, length, resized, scales
+from toolkit.perception.tabletop.plane import pixel_rays
+from toolkit.types import Finding, Float, Frame
 
 _LEAST_OVERLAP = 0.3
 _ODD, _ODD_AGAINST = 0.4, 2.5
@@ -38,25 +39,25 @@ def _compared(sightings: Sequence[Sighting]) -> list[Finding]:
     for how, axes in FLIPS.items():
         if _explain([_flipped(s.frame, axes) for s in sightings], poses, stated):
             return [Finding("refused", f"the current frames contradict each other, and their depth is {how}; {STORE}")]
-    for factor in (2.0, 0.5):
-        if _explain([replace(s.frame, camera=_resized(s.frame.camera, factor)) for s in sightings], poses, stated):
-            size = "half" if factor > 1 else "twice"
+    if _explain([_along_axis(s.frame) for s in sightings], poses, stated):
+        sentence = "the current frames contradict each other, and their depth looks like distances from the camera"
+        return [Finding("refused", f"{sentence}; give depth along the camera's axis, z")]
+    for factor, size in SIZES.items():
+        if _explain([replace(s.frame, camera=resized(s.frame.camera, factor)) for s in sightings], poses, stated):
             sentence = (
                 f"the current frames contradict each other, and cam_K looks like that of pictures of {size} the size"
             )
-            return [Finding("refused", f"{sentence}; give the cam_K of the pictures as they are stored")]
+            return [Finding("refused", f"{sentence}; {CAM_K}")]
     if stated.sound:
         sentence = f"the current frames share only {stated.overlap:.0%} of the table they see"
         return [Finding("said", f"{sentence}; are their poses right?")]
     if baseline < height / 1000:
         sentence = f"the current frames differ, but their cameras are at one place, within {length(baseline)}"
         return [Finding("refused", f"{sentence}; every image needs the pose of its own camera")]
-    through = float(np.median(stated.contradicted))
-    sentence = (
-        f"the current frames contradict each other: {through:.0%} of what one sees on the table another looks through, "
-        f"and their tables are turned by {stated.spread_deg:.1f} deg"
+    sentence = f"the current frames contradict each other: {', and '.join(stated.faults)}"
+    causes = (
+        "are the poses those of these images, cam_K that of their size, and depth in one unit and aligned to colour?"
     )
-    causes = "are the poses those of these images, cam_K that of their size, and depth aligned to colour?"
     return [Finding("doubtful", f"{sentence}; {causes}", _DOUBT)]
 
 
@@ -85,12 +86,13 @@ def _odd_ones(sightings: Sequence[Sighting], poses: Sequence[Float], stated: Agr
     return [Finding("left out", f"{sentence}; is the pose another image's?", frames=frames)]
 
 
+def _along_axis(frame: Frame) -> Frame:
+    """The frame whose depth was given along every pixel's ray."""
+    assert frame.depth is not None
+    stretch = np.linalg.norm(pixel_rays(frame), axis=-1)
+    return replace(frame, depth=(frame.depth / stretch).astype(np.float32))
+
+
 def _flipped(frame: Frame, axes: tuple[int, ...]) -> Frame:
     assert frame.depth is not None
     return replace(frame, depth=np.ascontiguousarray(np.flip(frame.depth, axes)))
-
-
-def _resized(camera: Camera, factor: float) -> Camera:
-    K = camera.K.copy()
-    K[:2] *= factor
-    return replace(camera, K=K)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from toolkit.geometry import invert
-from toolkit.types import Float
+from toolkit.types import Camera, Float
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+_BODY_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From a camera's optical axes into those of ROS's bodies (REP 103): x forward, y left, z up."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,11 @@ AXES = (
         "the poses look like camera-to-world ones in OpenGL's axes",
         f"{_SWAP}, and {_SIGN}",
     ),
+    Suspect(
+        lambda T: T @ _BODY_OPTICAL,
+        "the cameras' axes look like those of a body in ROS, with x forward and z up",
+        "give the poses of the optical frames",
+    ),
     Suspect(_unturn, "cam_R_w2c looks transposed", "write it row by row"),
 )
 
@@ -59,6 +67,19 @@ FLIPS = {"mirrored left to right": (1,), "upside down": (0, 1)}
 STORE = "store images as the camera's lens projects them, colour and depth alike"
 
 _FACTORS = (1000.0, 100.0, 10.0, 4.0, 2.54, 2.5, 2.0, 0.5, 0.4, 0.25, 0.1, 0.01, 0.001)
+
+
+def resized(camera: Camera, factor: float) -> Camera:
+    """A camera whose cam_K was given for pictures `factor` times as small."""
+    K = camera.K.copy()
+    K[:2] *= factor
+    return replace(camera, K=K)
+
+
+SIZES = {2.0: "half", 0.5: "twice"}
+"""By how much a cam_K of pictures of another size is wrong, and what size that is."""
+
+CAM_K = "give the cam_K of the pictures as they are stored"
 
 
 def rescaled(factor: float) -> Callable[[Float], Float]:
