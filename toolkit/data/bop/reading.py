@@ -46,7 +46,10 @@ def load_capture(folder: Path, masks: Path | None = None) -> Capture:
     truth, only_current, only_goal = _load_truth(folder, current_scene, goal_scene, notes)
     own = [frame for frame in (*current, goal) if frame.own_masks and frame.true_masks is None]
     if own and masks is None:
-        notes.add("mask_visib/ holds masks without truth: the segmenter 'masks' uses them, and no other does")
+        notes.add(
+            "mask_visib/ holds masks without truth, which only the segmenter 'masks' uses: "
+            "--segmenter masks --goal-segmenter masks"
+        )
     digest = capture_digest(folder)
     if masks is not None:
         digest = hashlib.sha256(f"{digest} {capture_digest(masks)}".encode()).hexdigest()
