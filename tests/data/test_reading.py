@@ -560,7 +560,7 @@ def label_images(folder, scene, numbers):
 def test_masks_without_truth_are_a_users_own(bare):
     capture = load_capture(bare)
     assert capture.truth is None and capture.goal.true_masks is None
-    assert "the segmenter 'masks' uses them" in capture.notes[0]
+    assert "--segmenter masks --goal-segmenter masks" in capture.notes[0]
     for frame, known in zip((*capture.current, capture.goal), (*current_frames(), goal_frame()), strict=True):
         own = [mask for _, mask in sorted(frame.own_masks.items())]
         np.testing.assert_array_equal(own, [mask for _, mask in sorted(known.true_masks.items())])
