@@ -21,6 +21,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import torch
+
 HERE = Path(__file__).parent
 _TOOLKIT = "import sys; sys.argv[0] = 'toolkit'; from toolkit.cli.commands import main; main()"
 BENCHMARKS = {
@@ -32,8 +34,8 @@ BENCHMARKS = {
     "planners": ["--repeats", "1", "--most", "12"],
     "rendering": ["--scenes", "2"],
     "overhead": ["quick", "--scenes", "4"],
-}
-"""Arguments by name; OUT/captures are built first."""
+} | ({"gpu": ["captures", "--scenes", "3"]} if torch.cuda.is_available() else {})
+"""Arguments by name; OUT/captures are built first. A GPU is measured where there is one."""
 
 Figures = dict[str, dict[str, dict[str, str]]]
 """Cells by benchmark, line and column."""
