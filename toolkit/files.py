@@ -34,6 +34,11 @@ def new_file(path: Path) -> Generator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def may_write(folder: Path) -> bool:
+    """Whether something can be written in a folder, or the folder be made where there is none yet."""
+    return os.access(next(above for above in (folder, *folder.absolute().parents) if above.exists()), os.W_OK)
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file so that a reader never meets half of it."""
     with new_file(path) as temporary:

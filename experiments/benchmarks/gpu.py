@@ -20,9 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from pnp import machine, table
-from waiting import ROADS
+from waiting import ROADS, session_of
 
+from toolkit.data.bop import load_capture
+from toolkit.data.dataset import read_dataset
 from toolkit.geometry import is_same_motion
 from toolkit.types import PoseEstimate
 
@@ -33,19 +36,11 @@ _SAME_DEG, _SAME_M = 1.0, 0.005
 
 def measure(device: str, dataset: Path, scenes: int) -> dict[str, Any]:
     """Of every road: milliseconds per goal object of every capture, and the objects' motions by name."""
-    from toolkit.data.bop import load_capture
-    from toolkit.data.dataset import read_dataset
-    from toolkit.harness.experiment import load_experiment, only_cell
-    from toolkit.harness.session import Session
-
     captures = [load_capture(folder) for folder in read_dataset(dataset)[:scenes]]
     found: dict[str, Any] = {}
     roads = {**ROADS, LOFTR: {**ROADS["true masks, no refiner"], "matcher": "loftr"}}
     for name, choices in roads.items():
-        overrides: dict[str, list[Any]] = {f"pipeline.{slot}.name": [choice] for slot, choice in choices.items()}
-        if name == LOFTR:
-            overrides["pipeline.matcher.device"] = [device]
-        session = Session(only_cell(load_experiment("estimate", overrides)))
+        session = session_of(choices, **({"matcher.device": device} if name == LOFTR else {}))
         times: list[float] = []
         motions: dict[str, Any] = {}
         for warm in (False, True):
@@ -99,8 +94,6 @@ def main() -> None:
             command, env={**os.environ, "JAX_PLATFORMS": device}, stdout=subprocess.PIPE, text=True, check=True
         )
         found[device] = json.loads(done.stdout.splitlines()[-1])
-    import torch
-
     print(f"{torch.cuda.get_device_name(0)} beside {os.cpu_count()} cores; {machine()}\n")
     lines: list[list[str]] = []
     for name, on_cpu in found["cpu"].items():

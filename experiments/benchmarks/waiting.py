@@ -51,10 +51,16 @@ def clock(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, 1e3 * (time.process_time() - start)
 
 
+def session_of(choices: dict[str, str], **settings: str) -> Session:
+    """The pipeline of `toolkit estimate` with other stages by slot, and settings by path (`matcher.device`)."""
+    overrides = {f"pipeline.{slot}.name": [name] for slot, name in choices.items()}
+    overrides |= {f"pipeline.{path}": [value] for path, value in settings.items()}
+    return Session(only_cell(load_experiment("estimate", overrides)))
+
+
 def road(choices: dict[str, str], captures: Sequence[Capture]) -> list[list[float]]:
     """Of every capture: milliseconds for the database, per goal object, and per object of a further goal."""
-    overrides = {f"pipeline.{slot}.name": [name] for slot, name in choices.items()}
-    session = Session(only_cell(load_experiment("estimate", overrides)))
+    session = session_of(choices)
     lines: list[list[float]] = []
     for warm in (False, True):
         for capture in captures:

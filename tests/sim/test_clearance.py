@@ -120,7 +120,7 @@ def test_what_is_carried_has_an_underside(clearance):
 def test_no_underside_is_where_it_was_seen_to_be_empty(points, turn):
     """However a lid has been turned since, all of it that was seen stays, and nothing else does."""
     points = points * [1, 1, 0] + [0, 0, 0.6]
-    below = underside(points).centers
+    below = underside(around(points, FINE_M)).centers
     T = rotation_z(turn)
     hollow = with_underside(transform_points(T, points), transform_points(T, below))
     assert without(around(transform_points(T, points), FINE_M), hollow) is None

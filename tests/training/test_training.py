@@ -203,6 +203,13 @@ def test_a_device_that_is_not_there_is_said_before_any_work(settings, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_folder_that_cannot_be_written_is_said_before_any_work(settings, tmp_path, monkeypatch):
+    monkeypatch.setattr("toolkit.files.os.access", lambda path, mode: False)
+    with pytest.raises(ToolkitError, match="cannot be written; use another --out"):
+        run(settings, tmp_path / "deep" / "out")
+    assert not (tmp_path / "deep").exists()
+
+
 def test_the_loss_falls_and_all_is_written_down(settings, tmp_path):
     path = run(settings, tmp_path / "out", loop__steps=75, loop__evaluate_every=75)
     with (path.parent / "curves.csv").open() as file:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from toolkit import __version__
 from toolkit.errors import ToolkitError
+from toolkit.files import may_write
 from toolkit.parallel import cores
 from toolkit.paths import cache_root
 from toolkit.sim.bullet import best_renderer, require_pybullet
@@ -104,10 +105,9 @@ def _simulator() -> Iterator[str]:
 def _cache_state() -> str:
     root = cache_root()
     if not root.exists():
-        above = next(folder for folder in root.parents if folder.exists())
-        return "not made yet" if os.access(above, os.W_OK) else "cannot be made; name another in $TOOLKIT_CACHE"
+        return "not made yet" if may_write(root) else "cannot be made; name another in $TOOLKIT_CACHE"
     size = sum(_size(Path(folder) / name) for folder, _, files in os.walk(root) for name in files)
-    return f"{size / 1e9:.2f} GB" if os.access(root, os.W_OK) else "cannot be written; nothing will be kept"
+    return f"{size / 1e9:.2f} GB" if may_write(root) else "cannot be written; nothing will be kept"
 
 
 def _size(path: Path) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from toolkit.geometry import invert, project
-from toolkit.sim.cubes import underside
+from toolkit.sim.cubes import FINE_M, around, underside
 from toolkit.types import Float, Frame
 
 _SIDE_M = 0.01
@@ -64,7 +64,7 @@ def empty_below(frames: Sequence[Frame], points: Float) -> Float:
     Returns:
         (K, 3) middles of the cubes of its underside that some frame looked through.
     """
-    below = underside(points) if len(points) else None
+    below = underside(around(points, FINE_M)) if len(points) else None
     if below is None:
         return np.zeros((0, 3))
     return below.centers[np.logical_or.reduce([_beyond(frame, below.centers) > _THROUGH_M for frame in frames])]

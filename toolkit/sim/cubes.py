@@ -50,9 +50,8 @@ def deepened(cubes: Cubes, depth: float, floor: float = 0.0) -> Cubes:
     return Cubes(np.concatenate([cubes.cells, below]), cubes.side)
 
 
-def underside(points: Float) -> Cubes | None:
-    """Fine cubes of what no camera sees of an object, 2 cm below its (N, 3) points at most, N > 0, above the table."""
-    seen = around(points, FINE_M)
+def underside(seen: Cubes) -> Cubes | None:
+    """What no camera sees of an object: at most 2 cm below the cubes of what was seen of it, and above the table."""
     return without(deepened(seen, _UNDERSIDE_M), seen)
 
 
@@ -63,7 +62,8 @@ def with_underside(points: Float, empty: Float) -> Cubes:
         points: (N, 3) of the object, N > 0.
         empty: (K, 3) middles of cubes, in any orientation, where the underside is not.
     """
-    seen, below = around(points, FINE_M), underside(points)
+    seen = around(points, FINE_M)
+    below = underside(seen)
     if below is None:
         return seen
     cells = below.cells

@@ -13,7 +13,7 @@ import yaml
 
 from toolkit.data.objects import load_object_set
 from toolkit.errors import ToolkitError, suggest
-from toolkit.files import write_text
+from toolkit.files import may_write, write_text
 from toolkit.paths import cache_root
 from toolkit.progress import Progress
 from toolkit.registry import validated
@@ -131,3 +131,6 @@ def _check_device(device: str) -> None:
 def _check_folder(options: TrainOptions) -> None:
     if (options.out / "checkpoint.pt").exists() and not options.resume:
         raise ToolkitError(f"'{options.out}' already holds a training; add --resume to go on, or use another --out")
+    # Found out now: rendering takes minutes.
+    if not may_write(options.out):
+        raise ToolkitError(f"'{options.out}' cannot be written; use another --out")
