@@ -68,7 +68,7 @@ def test_the_readme_has_one_picture_one_film_and_two_commands():
 
 
 def test_tables_are_put_under_the_commands_that_print_them():
-    page = """# One
+    page = r"""# One
 
     toolkit dataset build captures    # --set track=d435
     python experiments/benchmarks/some.py captures
@@ -84,7 +84,8 @@ Another table:
 
 ## Two
 
-    toolkit ablate quick
+    toolkit ablate quick \
+      --scenes 2
 
 | old |
 """
@@ -98,7 +99,7 @@ Another table:
     assert asked == [
         "toolkit dataset build captures",
         "python experiments/benchmarks/some.py captures",
-        "toolkit ablate quick",
+        "toolkit ablate quick --scenes 2",
     ]
     assert filled == page.replace("| old |\n| --- |\n", "| new |\n").replace("| old |\n", "| new |\n")
     assert MEASURE["fill"](page, measure, "Two") == page[: page.index("## Two")] + filled[filled.index("## Two") :]

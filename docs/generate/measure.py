@@ -21,7 +21,7 @@ from toolkit.results.folder import ROWS, TABLE
 
 RUNS = Path("runs") / "docs"
 _OWNED = re.compile(
-    r"(?P<commands>(?:^    (?:toolkit|python) .*\n)+)"
+    r"(?P<commands>(?:^    (?:toolkit|python) (?:.*\\\n)*.*\n)+)"
     r"(?P<between>(?:(?!#|    |\|).*\n)*)"
     r"(?P<table>(?:^\|.*\n)+)",
     re.MULTILINE,
@@ -35,12 +35,16 @@ def fill(text: str, measure: Callable[[str], str], only: str = "") -> str:
         headings = re.findall(r"^#+ (.*)$", text[: owned.start()], re.MULTILINE)
         if only and not any(only in heading for heading in headings[-1:]):
             return owned[0]
-        *before, last = [line.split("  #")[0].strip() for line in owned["commands"].splitlines()]
+        *before, last = [line.split("  #")[0].strip() for line in _whole_lines(owned["commands"])]
         for command in before:
             measure(command)
         return owned["commands"] + owned["between"] + measure(last)
 
     return _OWNED.sub(renew, text)
+
+
+def _whole_lines(commands: str) -> list[str]:
+    return re.sub(r"\s*\\\n\s*", " ", commands).splitlines()
 
 
 def measure(command: str) -> str:
