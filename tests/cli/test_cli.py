@@ -163,7 +163,7 @@ COMPLETIONS = {
     "ablate --goal-segmenter or": {"oracle"},
     "rearrange --planner op": {"optimal"},
     "show mat": {"matcher"},
-    "show matcher xf": {"xfeat_lighterglue"},
+    "show matcher xf": {"xfeat_lighterglue", "xfeat_star"},
     "list ex": {"executor", "experiments", "explainer"},
     "view somewhere --experiment qu": {"quick"},
 }

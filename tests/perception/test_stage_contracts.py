@@ -43,6 +43,7 @@ def chosen(tmp_path_factory):
     torch.save(EfficientNetLite0().state_dict(), backbone)
     return {
         **{("matcher", name): SMALL for name in ("aliked_lightglue", "disk_lightglue", "xfeat_lighterglue")},
+        ("matcher", "xfeat_star"): {"crop_size": 160},
         # Random weights are confident of nothing: let every mutual match through.
         ("matcher", "loftr"): {"weights": "outdoor", "file": str(loftr), "crop_size": 128, "threshold": 0.0},
         ("descriptor", "gem"): {"backbone_file": str(backbone)},

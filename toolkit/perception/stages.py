@@ -274,6 +274,7 @@ MATCHERS: Registry[Matcher] = Registry(
         "sift": "toolkit.perception.matchers.sift:SiftMatcher",
         "loftr": "toolkit.perception.matchers.loftr:LoftrMatcher",
         "xfeat_lighterglue": "toolkit.perception.matchers.xfeat_lighterglue:XFeatLighterGlue",
+        "xfeat_star": "toolkit.perception.matchers.xfeat_star:XFeatStar",
         "disk_lightglue": "toolkit.perception.matchers.disk_lightglue:DiskLightGlue",
         "aliked_lightglue": "toolkit.perception.matchers.aliked_lightglue:AlikedLightGlue",
     },

@@ -18,8 +18,9 @@ from pydantic import Field
 
 from toolkit.models.loftr import Encoded, encode, match_encoded
 from toolkit.models.loftr_small import LEAST_CONFIDENCE, make_loftr_small, standardize
+from toolkit.perception.matchers.shared.on_mask import on_mask
 from toolkit.perception.matchers.shared.quarter_turns import TurningConfig, TurningMatcher
-from toolkit.types import Crop, Float, Mask, Matches
+from toolkit.types import Crop, Mask, Matches
 from toolkit.weights.load import fill, read_tensors
 from toolkit.weights.resolve import file_digest, resolve_weights
 
@@ -116,7 +117,7 @@ class LoftrMatcher(TurningMatcher[LoftrConfig]):
             scores = result.confidence.cpu().numpy().astype(np.float64).clip(0, 1)
             for i, reference in enumerate(some):
                 rows = np.flatnonzero(pair == i)
-                rows = rows[_on_mask(query.mask, xy0[rows]) & _on_mask(reference.mask, xy1[rows])]
+                rows = rows[on_mask(query.mask, xy0[rows]) & on_mask(reference.mask, xy1[rows])]
                 found.append(Matches(xy0[rows], xy1[rows], scores[rows]))
         return found
 
@@ -142,9 +143,3 @@ class LoftrMatcher(TurningMatcher[LoftrConfig]):
     def _autocast(self) -> torch.autocast:
         kind = torch.device(self.config.device).type
         return torch.autocast(kind, torch.bfloat16, enabled=self.config.precision == "bfloat16")
-
-
-def _on_mask(mask: Mask, xy: Float) -> Mask:
-    """(M,) bool: whether the pixel under each position is on the (S, S) mask."""
-    x, y = np.rint(xy).astype(np.int64).clip(0, len(mask) - 1).T
-    return mask[y, x]

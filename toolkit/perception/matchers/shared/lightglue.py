@@ -16,8 +16,9 @@ from pydantic import Field
 from torch import Tensor
 from typing_extensions import TypeVar
 
+from toolkit.perception.matchers.shared.on_mask import on_mask
 from toolkit.perception.matchers.shared.quarter_turns import TurningConfig, TurningMatcher
-from toolkit.types import Crop, Float, Mask, Matches
+from toolkit.types import Crop, Matches
 from toolkit.weights.load import fill, read_tensors
 from toolkit.weights.resolve import file_digest, resolve_weights
 
@@ -93,7 +94,7 @@ class LightGlueMatcher(TurningMatcher[LightGlueConfigT]):
         # Channels last, as the crop is: ALIKED, which normalises a map of 128 channels, is a third faster for it.
         image = torch.from_numpy(crop.image.copy()).to(self.config.device)[None].permute(0, 3, 1, 2).float() / 255
         xy, descriptors = self.detect(self._extractor, image)
-        kept = torch.from_numpy(_on_mask(crop.mask, xy.cpu().numpy())).to(xy.device)
+        kept = torch.from_numpy(on_mask(crop.mask, xy.cpu().numpy())).to(xy.device)
         return Keypoints(xy[kept].float(), descriptors[kept].float(), crop.image.shape[0])
 
     def _match(self, query: Keypoints, reference: Keypoints) -> Matches:
@@ -155,8 +156,3 @@ def _made(module: torch.nn.Module, *names: str) -> dict[str, Tensor]:
 def _batch(keypoints: Keypoints) -> dict[str, Tensor]:
     size = torch.full((1, 2), float(keypoints.size), device=keypoints.xy.device)
     return {"keypoints": keypoints.xy[None], "descriptors": keypoints.descriptors[None], "image_size": size}
-
-
-def _on_mask(mask: Mask, xy: Float) -> Mask:
-    x, y = np.rint(xy).astype(np.int64).clip(0, mask.shape[0] - 1).T
-    return mask[y, x]
