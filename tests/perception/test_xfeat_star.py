@@ -1,4 +1,4 @@
-"""XFeat* says where things are: its places, corrected by what was measured, are those of a picture under known warps."""
+"""XFeat* says where things are: its places, corrected as measured, are those of a picture under known warps."""
 
 from __future__ import annotations
 
