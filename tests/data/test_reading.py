@@ -477,6 +477,15 @@ def test_a_frame_without_depth_is_left_out_by_name(folder, blank):
     assert ("nothing was measured" if blank else "depth/000002.png' is missing") in capture.notes[0]
 
 
+def test_several_frames_without_depth_are_two_sentences(folder):
+    for image in (1, 2, 3):
+        (folder / f"current/depth/{image:06d}.png").unlink()
+    first, others = load_capture(folder).notes
+    assert first.startswith("current frame 1 is left out: ")
+    assert others.startswith("others without a depth image in ")
+    assert others.endswith("are left out as well (images 2, 3)")
+
+
 def test_no_depth_at_all_is_refused_with_the_near_miss(folder):
     (folder / "current/depth").rename(folder / "current/depths")
     assert "no current frame has depth: " in refusal(folder) and "there is no such folder" in refusal(folder)

@@ -83,8 +83,11 @@ class SceneFolder:
         """The frames that have depth; the others are left out by name. Raises ToolkitError as `load_capture`."""
         folder = ImageFolder.of(self.path / "depth", DEPTHS)
         files = {image: folder.find(image) for image in self.cameras}
-        for image in (image for image, file in files.items() if file is None):
-            notes.add(f"current frame {image} is left out: {folder.missing(image)}")
+        for count, image in enumerate(image for image, file in files.items() if file is None):
+            if count == 0:
+                notes.add(f"current frame {image} is left out: {folder.missing(image)}")
+            else:
+                notes.add(f"others without a depth image in '{folder.path}' are left out as well", image)
         found = {image: file for image, file in files.items() if file is not None}
         if not found:
             raise ToolkitError(f"no current frame has depth: {folder.missing(next(iter(self.cameras)))}")
