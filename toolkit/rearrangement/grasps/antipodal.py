@@ -12,6 +12,7 @@ from toolkit.rearrangement.grasps.geometry.room import (
     RoomConfig,
     balance,
     closing_direction,
+    cross,
     evenly_seen,
     first_with_room,
     grasps_on,
@@ -68,6 +69,7 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
                 continue
             steepest /= np.linalg.norm(steepest)
             worth = float(alignment) * balance(a, b, center)
+            aside = cross(x, steepest)
             for tilt in np.radians([0, 35, -35, 75, -75]):
-                z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
+                z = np.cos(tilt) * steepest + np.sin(tilt) * aside
                 yield from grasps_on(a, b, z, worth * (0.5 - 0.5 * float(z[2])), gripper, self.config)
