@@ -26,7 +26,7 @@ from toolkit.rearrangement.sight import Sight
 from toolkit.sim.client import Client
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
-from toolkit.types import PoseEstimate, Segment
+from toolkit.types import Failure, PoseEstimate, Segment
 
 PANDA = ROBOTS["panda"]
 BASE = rotation_z(np.pi / 2)
@@ -84,6 +84,27 @@ def test_the_hand_is_at_the_grasp_and_moves_as_the_object_is_to(made):
         np.testing.assert_allclose(at_place, move.T_place_pick @ at_grasp, atol=2e-3)
         risen = robot.chain.end(move.way.lift.end)[:3, 3] - robot.chain.end(move.way.lift.start)[:3, 3]
         assert risen[2] > 0.05 and np.linalg.norm(risen[:2]) < 1e-3
+
+
+def test_what_no_single_grasp_brings_to_its_place_is_planned_in_two_moves(dataset, made, tmp_path, monkeypatch):
+    _, whole = made
+    answers, plan = [], ArmPlanner.plan
+
+    def fails_first(self, request, q, seed):
+        answers.append(Failure("executor", "not in one") if not answers else plan(self, request, q, seed))
+        return answers[-1]
+
+    monkeypatch.setattr(ArmPlanner, "plan", fails_first)
+    aside, onward, *_ = made_now = planned(dataset / "000001", tmp_path).moves
+    (first, *_) = whole.moves
+    assert (aside.object, aside.to, onward.object, onward.to) == (first.object, "buffer", first.object, first.to)
+    assert aside.reason == "no single grasp serves both places; it is taken anew from here"
+    np.testing.assert_allclose(onward.T_place_pick @ aside.T_place_pick, first.T_place_pick, atol=1e-9)
+    assert len(made_now) == len(whole.moves) + 1
+    at = np.array(PANDA.home)
+    for move in made_now:
+        np.testing.assert_allclose(move.way.to_grasp.start, at, atol=1e-6)
+        at = move.way.retreat.end
 
 
 def test_by_default_the_world_is_the_frame_of_the_robots_base(dataset, made, tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from toolkit.data.tabletop import TabletopConfig, draw_scene
 from toolkit.errors import ToolkitError
 from toolkit.geometry import invert, make_transform, transform_points
 from toolkit.rearrangement.executors.arm import Arm, ArmConfig
+from toolkit.rearrangement.executors.handling.planning import ArmPlanner
 from toolkit.rearrangement.grasps.antipodal import Antipodal
 from toolkit.rearrangement.moves import PickPlace
 from toolkit.sim.bench import Bench
@@ -21,6 +22,7 @@ from toolkit.sim.client import Client
 from toolkit.sim.robot import Robot
 from toolkit.sim.robots import ROBOTS
 from toolkit.stages import GRASPERS
+from toolkit.types import Failure
 
 CONFIG = TabletopConfig(scenes=1, min_objects=4, max_objects=4, views=2, seed=1, renderer="tiny", supersample=1)
 
@@ -132,6 +134,29 @@ def test_what_cannot_be_done_has_a_reason(scene, arm):
     assert "there is no object" in arm.pick_place(nothing).failure.reason
     for number, pose in before.items():  # nothing has moved
         np.testing.assert_allclose(arm.state()[number], pose, atol=1e-4)
+
+
+def test_what_stands_aside_is_looked_at_and_goes_on_from_there(scene, monkeypatch):
+    """As if no single grasp had served both places."""
+    asked, plan = [], ArmPlanner.plan
+
+    def fails_first(self, request, q, seed):
+        asked.append(request)
+        return Failure("executor", "not in one") if len(asked) == 1 else plan(self, request, q, seed)
+
+    monkeypatch.setattr(ArmPlanner, "plan", fails_first)
+    with closing(Arm(ArmConfig(robot="panda"))) as arm:
+        arm.begin(scene)
+        number = 1  # a hammer, with room around it
+        T = make_transform(np.eye(3), np.append(np.array([0.2, -0.1]) - arm.state()[number][:2, 3], 0))
+        wanted = T @ arm.state()[number]
+        outcome = arm.pick_place(request(scene, arm, number, T))
+        assert outcome.failure is None and outcome.picks == arm.moves == len(asked) == 2
+        np.testing.assert_allclose(arm.state()[number][:3, 3], wanted[:3, 3], atol=arm.config.off_m)
+    one, onward = asked
+    assert np.linalg.norm(onward.points.mean(axis=0) - one.points.mean(axis=0)) > 0.05
+    there = (transform_points(request.T_place_pick, request.points) for request in asked)
+    np.testing.assert_allclose(next(there), next(there), atol=1e-9)
 
 
 def test_the_gripper_and_the_chain_are_the_description_s():

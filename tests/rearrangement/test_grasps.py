@@ -104,6 +104,18 @@ def test_a_bowl_is_held_by_its_rim(antipodal):
         assert 0.06 < np.hypot(*grasp.T_world_gripper[:2, 3]) < 0.09
 
 
+def test_a_mug_that_fills_the_gripper_is_held_by_its_rim(antipodal):
+    """Across, it leaves 2 to 4 mm: room in the boxes of a gripper, and too little for an arm that is not exact."""
+    mug = surface(trimesh.creation.annulus(0.036, 0.0395, 0.09), 20000)
+    found = find(antipodal, mug)
+    assert len(found) <= antipodal.config.keep
+    rim = [grasp for grasp in found if grasp.opening < 0.03]
+    assert len(rim) > 5
+    assert all(0.03 < np.hypot(*grasp.T_world_gripper[:2, 3]) < 0.05 for grasp in rim)
+    tight = [grasp for grasp in found if grasp.spare < antipodal.config.spare_m]
+    assert found[len(found) - len(tight) :] == tight
+
+
 def test_a_bottle_is_taken_from_the_side(antipodal):
     """From above, its neck is in the way of all grasps on its body; and its body is most of it."""
     body, neck = trimesh.creation.cylinder(0.035, 0.15), trimesh.creation.cylinder(0.013, 0.05)

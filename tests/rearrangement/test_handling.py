@@ -21,6 +21,7 @@ from toolkit.rearrangement.executors.handling.timing import Timer
 from toolkit.rearrangement.hidden import empty_below, hidden_space
 from toolkit.rearrangement.moves import Grasp
 from toolkit.rearrangement.plans import Way
+from toolkit.rearrangement.trajectories import Trajectory
 from toolkit.sim.bench import Bench
 from toolkit.sim.clearance import Clearance
 from toolkit.sim.client import Client
@@ -152,6 +153,19 @@ def test_what_fills_the_opened_gripper_is_not_taken(opening, taken):
     held = replace(grasp(0.0), opening=opening, spare=0.5e-3)
     way = reach.plan(np.array(PANDA.home), [held], make_transform(np.eye(3), np.array([0, -0.05, 0])))
     assert isinstance(way, Way) == taken
+
+
+def test_from_a_joint_that_was_measured_a_rounding_beyond_its_limit_there_are_ways():
+    """Around a post: straight on, nothing is searched."""
+    clearance, reach = panda()
+    post = np.random.default_rng(0).uniform([0.35, -0.02, 0], [0.6, 0.02, 0.7], (5000, 3))
+    clearance.see(bar(0.0) + np.array([-0.9, 0, 0]), post)
+    start, goal = np.array(PANDA.home), np.array(PANDA.home)
+    start[[0, 6]], goal[0] = (-0.8, clearance.robot.chain.upper[6] + 1e-12), 0.8
+    path = reach.free_path(start, goal)
+    assert isinstance(path, Trajectory) and len(path.positions) > 2
+    assert (path.positions <= clearance.robot.chain.upper).all()
+    np.testing.assert_allclose(path.start, start, atol=1e-9)
 
 
 CAMERA_K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])

@@ -24,6 +24,7 @@ from toolkit.rearrangement.executors.arm import Arm
 from toolkit.rearrangement.executors.drivers.recorded import Recorded
 from toolkit.rearrangement.executors.handling.mover import carry_out_plan
 from toolkit.rearrangement.executors.handling.planning import ArmPlanner, Tools
+from toolkit.rearrangement.executors.handling.regrasp import steps_of
 from toolkit.rearrangement.moves import Finished, Outcome
 from toolkit.rearrangement.plans import PLAN, ArmPlan, PlannedMove, PlannedRobot, Unplanned
 from toolkit.rearrangement.sight import Sight, in_sight
@@ -185,25 +186,27 @@ def _plan_moves(sight: Sight, schedule: Schedule, arm: ArmPlanner) -> _Planned:
             failures = {**step.failures, **failures}
             break
         asked = sight.request(step)
-        way = arm.plan(asked, q, number)
-        if isinstance(way, Failure):
-            failures[step.object] = way
-            sight = sight.after_outcome(step, Outcome(way))
+        steps = steps_of(arm, asked, q, number)
+        if isinstance(steps, Failure):
+            failures[step.object] = steps
+            sight = sight.after_outcome(step, Outcome(steps))
             continue
         failures.pop(step.object, None)
-        moves.append(
-            PlannedMove(
-                object=step.object,
-                goal_object=sight.goal_objects.get(step.object),
-                to=step.to,
-                reason=step.reason,
-                confidence=confidences.get(step.object),
-                T_place_pick=step.T_place_pick,
-                way=way,
+        for count, part in enumerate(steps, 1):
+            last = count == len(steps)
+            moves.append(
+                PlannedMove(
+                    object=step.object,
+                    goal_object=sight.goal_objects.get(step.object),
+                    to=step.to if last else "buffer",
+                    reason=step.reason if last else "no single grasp serves both places; it is taken anew from here",
+                    confidence=confidences.get(step.object),
+                    T_place_pick=part.T_place_pick,
+                    way=part.way,
+                )
             )
-        )
-        q, sight = way.retreat.end, sight.after(step)
-        arm.clearance.see(sight.clouds[step.object], asked.others, sight.empty[step.object])
+        q, sight = steps[-1].way.retreat.end, sight.after(step)
+        arm.see(asked.after(step.T_place_pick))
     return _Planned(moves, failures, arm.to_home(q, len(moves)))
 
 

@@ -179,8 +179,8 @@ def _carry_out(
 
 def _count(episode: Episode, sight: Sight, move: Move, outcome: Outcome) -> None:
     true_id = -1 if outcome.object is None else outcome.object
-    episode.moves[true_id] += 1
-    episode.buffer_moves[true_id] += move.to == "buffer"
+    episode.moves[true_id] += outcome.picks
+    episode.buffer_moves[true_id] += outcome.picks - (move.to == "goal")
     episode.touching_moves[true_id] += outcome.touched
     episode.motion_s += outcome.seconds
     goal_object = sight.goal_objects.get(move.object)

@@ -140,6 +140,11 @@ class PickPlace:
     others: Float
     empty: Float = field(default_factory=lambda: np.zeros((0, 3)))
 
+    def after(self, T: Float) -> PickPlace:
+        """What is left to do when the object was moved by (4, 4) `T`."""
+        points, empty = transform_points(T, self.points), transform_points(T, self.empty)
+        return PickPlace(points, self.T_place_pick @ invert(T), self.others, empty)
+
 
 @dataclass(frozen=True, eq=False)
 class GraspRequest:
@@ -224,6 +229,7 @@ class Outcome:
             what it was asked for; None where it was not measured: then it is what was asked for, and none where that
             failed.
         touched: robot or object touched something that the move was not meant to touch.
+        picks: how often it was taken: twice where it stood aside in between, since no single grasp serves both places.
     """
 
     failure: Failure | None
@@ -231,6 +237,7 @@ class Outcome:
     seconds: float = 0.0
     T_moved: Float | None = field(default=None, compare=False)
     touched: bool = False
+    picks: int = 1
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -21,6 +21,7 @@ from toolkit.rearrangement.executors.handling.looking import Look
 from toolkit.rearrangement.executors.handling.mover import Eye, Mover
 from toolkit.rearrangement.executors.handling.planning import ArmPlanner, ArmSettings, Tools
 from toolkit.rearrangement.executors.handling.reach import Reach
+from toolkit.rearrangement.executors.handling.regrasp import steps_of
 from toolkit.rearrangement.footprints import Footprint
 from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.rearrangement.plans import Way
@@ -162,35 +163,46 @@ class Arm(Plugin[ArmConfig], Executor):
         number = self._bench.under(request.points[:: max(1, len(request.points) // _RAYS)])
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
-        self.moves += 1
-        touches = len(self.touches)
+        touches, begun = len(self.touches), self.moves
         try:
             failure, moved = self._carry_out(number, request)
         except DriverError as error:  # in a simulator nothing is lost by going on
             failure, moved = Failure("executor", str(error)), None
-        return Outcome(failure, number, self._bench.seconds - start, moved, len(self.touches) > touches)
+        seconds, picks = self._bench.seconds - start, self.moves - begun
+        return Outcome(failure, number, seconds, moved, len(self.touches) > touches, picks)
 
     def _carry_out(self, number: int, request: PickPlace) -> tuple[Failure | None, Float | None]:
         """What went wrong, and the (4, 4) motion that the object has had, where it is known."""
-        wanted = request.T_place_pick
-        if not self._task.table.holds(Footprint.of(transform_points(wanted, request.points)).center):
+        self.moves += 1
+        if not self._task.table.holds(Footprint.of(transform_points(request.T_place_pick, request.points)).center):
             return Failure("executor", "the place lies beyond the table's edge"), None
-        grasps = self._planner.grasps(request, self.moves)
-        if isinstance(grasps, Failure):
-            return grasps, None
+        self._planner.see(request)
         self._back_off(number)
-        reach = self._planner.reach(self.moves)
-        way = reach.plan(self._q, grasps, wanted)
-        if isinstance(way, Failure):
-            return way, None
-        eye = self._eye(number, request, reach)
+        steps = steps_of(self._planner, request, self._q, self.moves)
+        if isinstance(steps, Failure):
+            return steps, None
+        failure, moved = self._move(number, replace(request, T_place_pick=steps[0].T_place_pick), steps[0].way)
+        if failure is not None or len(steps) == 1:
+            return failure, moved
+        aside = steps[0].T_place_pick if moved is None else moved
+        onward = request.after(aside)
+        self.moves += 1
+        way = self._planner.plan(onward, self._q, self.moves)  # from where it has come to stand
+        failure, moved = (way, None) if isinstance(way, Failure) else self._move(number, onward, way)
+        if moved is None:
+            return failure, aside if failure is not None else None
+        return failure, moved @ aside
+
+    def _move(self, number: int, request: PickPlace, way: Way) -> tuple[Failure | None, Float | None]:
+        """Take an object along a way; what went wrong, and the motion that it has had, where it is known."""
+        wanted = request.T_place_pick
+        eye = self._eye(number, request, self._planner.reach(self.moves))
         failure = self._mover.carry_out(way, eye)
         self._bench.wait(_REST_S, "resting", number)
         expected = wanted if failure is None else np.eye(4)
         moved = eye.placed(expected)
         stands = expected if isinstance(moved, Failure) else moved
-        clearance = self._planner.clearance
-        clearance.see(transform_points(stands, request.points), request.others, transform_points(stands, request.empty))
+        self._planner.see(request.after(stands))
         if isinstance(moved, Failure):
             return failure, None
         return failure or self._slipped(request.points.mean(axis=0), moved, wanted), moved

@@ -65,6 +65,7 @@ class Recorder(Executor):
                 "T_place_pick": request.T_place_pick.tolist(),
                 "object": outcome.object,
                 "seconds": outcome.seconds,
+                "picks": outcome.picks,
                 "T_moved": None if outcome.T_moved is None else outcome.T_moved.tolist(),
                 "stage": failure.stage if failure else None,
                 "reason": failure.reason if failure else None,
@@ -131,8 +132,8 @@ class Replay(Plugin[ReplayConfig], Executor):
         if off > self.config.tolerance_m:
             return Outcome(Failure("executor", f"the recorded move lies {100 * off:.1f} cm from the one asked for"))
         failure = None if move["stage"] is None else Failure(move["stage"], move["reason"])
-        moved = move.get("T_moved")
-        return Outcome(failure, move["object"], move["seconds"], None if moved is None else np.array(moved))
+        moved = None if move.get("T_moved") is None else np.array(move["T_moved"])
+        return Outcome(failure, move["object"], move["seconds"], moved, picks=move.get("picks", 1))
 
     def home(self) -> None:
         """Do nothing: the recorded frames were taken without a robot in sight."""

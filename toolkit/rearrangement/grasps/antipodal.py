@@ -12,6 +12,7 @@ from toolkit.rearrangement.grasps.geometry.room import (
     RoomConfig,
     balance,
     closing_direction,
+    cross,
     evenly_seen,
     first_with_room,
     grasps_on,
@@ -32,7 +33,10 @@ class AntipodalConfig(RoomConfig):
 
 
 class Antipodal(Plugin[AntipodalConfig], Grasper):
-    """Opposite surface points in force closure; approaches from above first; clear of table and neighbours."""
+    """Opposite surface points in force closure; approaches from above first; clear of table and neighbours.
+
+    What fills the opened gripper, or is wider, is also taken by its walls, as mugs and bowls can be.
+    """
 
     stage = "grasp"
     name = "antipodal"
@@ -46,9 +50,12 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
         center, across, widest = seen.points.mean(axis=0), normals(seen.points), c.widest_m(seen.gripper)
         pairs = antipodal_pairs(seen.points, across, widest, c.friction, c.contacts, rng)
         found = first_with_room(self._candidates(pairs, center, seen.gripper), seen, c)
-        if not found:
-            walls = wall_pairs(seen.points, across, c.contacts, rng)
-            found = first_with_room(self._candidates(walls, center, seen.gripper), seen, c)
+        roomy = [grasp for grasp in found if grasp.spare >= c.spare_m]
+        if not found or len(roomy) < len(found):
+            pairs_of_walls = wall_pairs(seen.points, across, c.contacts, rng)
+            walls = first_with_room(self._candidates(pairs_of_walls, center, seen.gripper), seen, c)
+            tight = [grasp for grasp in found if grasp.spare < c.spare_m]
+            found = [*roomy, *walls, *tight][: c.keep]
         if not found and not len(pairs):
             return Failure("grasp", f"no two opposite surfaces lie within {100 * widest:.1f} cm of each other")
         return found or NO_ROOM
@@ -62,6 +69,7 @@ class Antipodal(Plugin[AntipodalConfig], Grasper):
                 continue
             steepest /= np.linalg.norm(steepest)
             worth = float(alignment) * balance(a, b, center)
+            aside = cross(x, steepest)
             for tilt in np.radians([0, 35, -35, 75, -75]):
-                z = np.cos(tilt) * steepest + np.sin(tilt) * np.cross(x, steepest)
+                z = np.cos(tilt) * steepest + np.sin(tilt) * aside
                 yield from grasps_on(a, b, z, worth * (0.5 - 0.5 * float(z[2])), gripper, self.config)

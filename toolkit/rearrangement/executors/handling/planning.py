@@ -103,12 +103,16 @@ class ArmPlanner:
         self.clearance = Clearance(robot, settings.margin_m)
         self._timer = Timer(self.clearance, tools.limits, settings.joint_speed, settings.line_speed)
 
+    def see(self, request: PickPlace) -> None:
+        """Take what a move is told of for what is there now."""
+        self.clearance.see(request.points, request.others, request.empty)
+
     def grasps(self, request: PickPlace, seed: int) -> list[Grasp] | Failure:
         """Where to take hold, best first; what was seen is arranged for the ways that follow."""
         gripper = self._tools.model.gripper
         asked = GraspRequest.of(request, gripper, self._settings.approach_m)
         grasps = self._tools.grasper.grasp(asked, seed)
-        self.clearance.see(request.points, request.others, request.empty)
+        self.see(request)
         wide, opens = Footprint.of(request.points).width, gripper.stroke_m
         if isinstance(grasps, Failure) and wide > opens:
             reason = f"the object is {100 * wide:.1f} cm wide, the gripper opens {100 * opens:.1f} cm"

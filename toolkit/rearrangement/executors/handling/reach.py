@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -51,6 +52,14 @@ class _Lines:
 
 
 @dataclass(frozen=True, eq=False)
+class _Taking:
+    """(N, J) along the gripper's axis to a grasp, and straight up from there."""
+
+    approach: Float
+    lift: Float
+
+
+@dataclass(frozen=True, eq=False)
 class _Landing:
     """(N, J) straight up from where an object is let go, and back from there along the gripper's axis."""
 
@@ -91,25 +100,39 @@ class Reach:
             return Failure("executor", "another object is in the way where it is to be put")
         furthest, searched = 0, 0
         failure: Failure | None = None
-        for grasp in grasps:
-            turned = replace(grasp, T_world_gripper=grasp.T_world_gripper @ _HALF_TURN)
-            for either in (grasp, turned):
-                lines = self._lines(q, either, T_place_pick)
-                if isinstance(lines, int):
-                    furthest = max(furthest, lines)
-                    continue
-                way = self._join(q, either, lines)
-                if isinstance(way, Way):
-                    return way
-                failure, searched = way, searched + 1
-                if searched == _MOST_SEARCHES:
-                    return failure
+        for grasp in _either_way(grasps):
+            lines = self._lines(q, grasp, T_place_pick)
+            if isinstance(lines, int):
+                furthest = max(furthest, lines)
+                continue
+            way = self._join(q, grasp, lines)
+            if isinstance(way, Way):
+                return way
+            failure, searched = way, searched + 1
+            if searched == _MOST_SEARCHES:
+                return failure
         return failure or Failure("executor", _REASONS[furthest])
+
+    def taken(self, q: Float, grasps: Sequence[Grasp], count: int) -> list[Grasp]:
+        """The first `count` grasps, as they are or turned over, that lift the object where it was seen.
+
+        Args:
+            q: (J,) near what the arm is to be.
+            grasps: on the object, best first.
+            count: how many are enough.
+        """
+        found = (grasp for grasp in _either_way(grasps) if self._takes(q, grasp))
+        return list(islice(found, count))
+
+    def _takes(self, q: Float, grasp: Grasp) -> bool:
+        at_grasps = self._inverse.solve(self._hand(grasp), q)[:3]
+        if not at_grasps or not self._can_be_squeezed(grasp):
+            return False
+        return any(self._take(at_grasp, grasp) is not None for at_grasp in at_grasps)
 
     def _lines(self, q: Float, grasp: Grasp, T_place_pick: Float) -> _Lines | int:
         """The straight parts; where they do not work out, how far they came, as an index into `_REASONS`."""
-        clearance, robot = self._clearance, self._clearance.robot
-        hand = grasp.T_world_gripper @ invert(robot.T_hand_tips(grasp.closed))
+        hand = self._hand(grasp)
         at_grasps = self._inverse.solve(hand, q)[:3]
         if at_grasps and not self._inverse.solve(T_place_pick @ hand, q):
             return 2
@@ -118,22 +141,31 @@ class Reach:
         furthest = 0
         for at_grasp in at_grasps:
             furthest = max(furthest, 1)
-            if not self._closes(at_grasp, grasp):  # first, since a line takes longer to find
+            taking = self._take(at_grasp, grasp)
+            if taking is None:
                 continue
-            approach = self._inverse.line(at_grasp, self._back(hand))
-            if approach is None or not self._comes(approach, grasp):
-                continue
-            in_hand = clearance.in_hand(at_grasp)
-            clearance.carry(in_hand)
-            lift = self._rise(at_grasp, _UP)
-            if lift is None:
-                continue
-            landing = self._land(in_hand, T_place_pick, lift[-1], grasp.opening)
+            in_hand = self._clearance.in_hand(at_grasp)
+            landing = self._land(in_hand, T_place_pick, taking.lift[-1], grasp.opening)
             if not isinstance(landing, int):
-                count = min(len(lift), len(landing.lower))
-                return _Lines(approach[::-1], lift[:count], landing.lower[:count][::-1], landing.retreat)
+                count = min(len(taking.lift), len(landing.lower))
+                return _Lines(taking.approach, taking.lift[:count], landing.lower[:count][::-1], landing.retreat)
             furthest = max(furthest, landing)
         return furthest
+
+    def _hand(self, grasp: Grasp) -> Float:
+        """(4, 4) pose of the hand whose fingers have closed on a grasp."""
+        return grasp.T_world_gripper @ invert(self._clearance.robot.T_hand_tips(grasp.closed))
+
+    def _take(self, at_grasp: Float, grasp: Grasp) -> _Taking | None:
+        """How an object is taken and lifted at (J,) joint angles; None where that touches something."""
+        if not self._closes(at_grasp, grasp):  # first, since a line takes longer to find
+            return None
+        approach = self._inverse.line(at_grasp, self._back(self._hand(grasp)))
+        if approach is None or not self._comes(approach, grasp):
+            return None
+        self._clearance.carry(self._clearance.in_hand(at_grasp))
+        lift = self._rise(at_grasp, _UP)
+        return None if lift is None else _Taking(approach[::-1], lift)
 
     def _closes(self, at_grasp: Float, grasp: Grasp) -> bool:
         """Say whether the opened hand is free around the object, at (J,) joint angles, and can close there."""
@@ -263,6 +295,14 @@ class Reach:
     def free_path(self, start: Float, goal: Float) -> Trajectory | Failure:
         """A path from one pose of the arm to another among objects as arranged."""
         clearance, chain = self._clearance, self._clearance.robot.chain
+        start = np.clip(start, chain.lower, chain.upper)  # what was measured at a limit can lie a rounding beyond it
         problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, clearance.world())
         path = self._planner.plan(problem, self._seed)
         return path if isinstance(path, Failure) else self._timer.free(path)
+
+
+def _either_way(grasps: Sequence[Grasp]) -> Iterator[Grasp]:
+    """Every grasp, and with the fingers exchanged."""
+    for grasp in grasps:
+        yield grasp
+        yield replace(grasp, T_world_gripper=grasp.T_world_gripper @ _HALF_TURN)

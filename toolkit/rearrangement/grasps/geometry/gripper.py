@@ -33,10 +33,11 @@ def _palm(gripper: Gripper) -> Box:
 
 def points_in_boxes(points: Float, T_world_gripper: Float, boxes: list[Box], retreat: float = 0.0) -> int:
     """How many (N, 3) world points lie in boxes of the gripper's frame, drawn out backwards by `retreat` metres."""
-    own = transform_points(invert(T_world_gripper), points)
+    x, y, z = transform_points(invert(T_world_gripper), points).T.copy()
     inside = np.zeros(len(points), bool)
     for low, high in boxes:
-        inside |= ((own >= low - np.array([0, 0, retreat])) & (own <= high)).all(axis=1)
+        across = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        inside |= across & (z >= low[2] - retreat) & (z <= high[2])
     return int(inside.sum())
 
 
