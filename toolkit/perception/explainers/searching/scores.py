@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float32, Int32
 
+from toolkit.perception.compiled import Compiled
 from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
 from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.padding import pad_rows
@@ -79,7 +80,7 @@ class Scorer:
         return np.concatenate([np.asarray(s) for s in scores])[:count]
 
 
-@jax.jit
+@Compiled
 def _score(
     points: Float32[Array, "N 3"],
     normals: Float32[Array, "N 3"],
