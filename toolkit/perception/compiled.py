@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import jax
+import numpy as np
 from jax import export
 
 from toolkit.digests import digest, source_digest
@@ -48,7 +49,7 @@ class Compiled(Generic[_Result]):
         if folder is None or jax.default_backend() != "cpu":
             return self._jitted(*args)
         leaves, tree = jax.tree.flatten(args)
-        kind = (tree, jax.config.jax_enable_x64, *map(jax.typeof, leaves))  # type: ignore[attr-defined]
+        kind = (tree, jax.config.jax_enable_x64, *map(_kind, leaves))  # type: ignore[attr-defined]
         if kind not in self._programs:
             self._programs[kind] = jax.jit(self._traced(Path(folder), kind, leaves).call)
         return self._programs[kind](*leaves)
@@ -72,6 +73,13 @@ class Compiled(Generic[_Result]):
             folder.mkdir(parents=True, exist_ok=True)
             write_bytes(path, hashlib.sha256(program).digest() + program)
         return traced
+
+
+def _kind(argument: Any) -> Any:
+    """What a program depends on of an argument; `jax.typeof` of NumPy's arrays takes longer than some programs."""
+    if isinstance(argument, jax.Array):
+        return argument.aval
+    return type(argument), np.shape(argument), np.result_type(argument)
 
 
 def kept_type(named_tuple: _Type) -> _Type:
