@@ -228,10 +228,11 @@ def test_the_gauss_newton_equations_are_those_of_the_four_residuals(unaligned, m
             contact: np.ones(1) / alignment._CONTACT_M**2,
         }
         free = alignment.Freedom(*(jnp.asarray(v, jnp.float64) for v in (moves, 1.0, table)))
-        found = alignment._normal_equations(turn, place, source, goal, level, free)
+        images = goal.values[level], source.values[level]
+        found = alignment._normal_equations(turn, place, source, goal, images, free)
         shape, points = (alignment._seen(x, turn, place, goal) for x in (source.shape, source.points))
         in_camera = {
-            photometric: alignment._photometric(points, source, goal, level),
+            photometric: alignment._photometric(points, source.weights, images),
             inside: alignment._inside(shape, goal),
             outline: alignment._outline(shape, goal),
         }

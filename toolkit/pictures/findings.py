@@ -9,8 +9,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from toolkit.errors import ToolkitError
 from toolkit.files import write_bytes
@@ -57,6 +55,9 @@ def cameras_picture(frames: Sequence[Frame]) -> Image | None:
     seen = [sighting for sighting in map(sight, frames) if sighting is not None and len(sighting.flat)]
     if not seen:
         return None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12, 6), layout="constrained")
     above: Any
     side: Any
@@ -77,7 +78,9 @@ def cameras_picture(frames: Sequence[Frame]) -> Image | None:
     for axes, title in ((above, "from above"), (side, "from the side")):
         axes.set(title=f"cameras, and the table that each sees, {title} (m)", aspect="equal")
         axes.set_adjustable("datalim")
-    return _rendered(figure)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]
 
 
 def table_picture(frames: Sequence[Frame], goal: Frame | None) -> Image | None:
@@ -124,9 +127,3 @@ def _from_above(table: Table, camera: Camera, rgb: Image) -> Image:
     to_pixels = table_homography(table.T_world_table, camera) @ to_plane
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpPerspective(rgb, to_pixels, (_PLAN_PX, _PLAN_PX), flags=flags), np.uint8)
-
-
-def _rendered(figure: Figure) -> Image:
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]

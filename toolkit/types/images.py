@@ -162,7 +162,8 @@ class Crop:
         side = len(self.image)
         image = checked(self.image, (side, side, 3), np.uint8, "a crop's image")
         mask = checked(self.mask, (side, side), np.bool_, "a crop's mask")
-        require(not image[~mask].any(), "a crop must be black outside its mask")
+        red, green, blue = np.moveaxis(image, -1, 0)
+        require(not ((red | green | blue) > mask * np.uint8(255)).any(), "a crop must be black outside its mask")
         require(0 < self.scale < np.inf, f"a crop's scale must be positive, got {self.scale}")
         freeze(self, image=image, mask=mask, origin_xy=checked(self.origin_xy, (2,), np.float64, "a crop's origin_xy"))
 

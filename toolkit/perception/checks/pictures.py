@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from toolkit.types import Finding, Frame, Image
+from toolkit.types import Finding, Float, Frame, Image
 
 _DARK, _BRIGHT = 25, 250
 _MOST_BRIGHT = 0.6
 _LEAST_STEP, _PIXELS = 0.05, 500
+_PART = 50
+"""One depth in so many mostly shows that they take many values."""
+
 _DOUBT = 0.3
 
 
@@ -45,11 +48,21 @@ def check_steps(frames: Sequence[Frame]) -> list[Finding]:
     for frame in frames:
         assert frame.depth is not None
         measured = frame.depth[frame.depth > 0]
+        if len(measured) <= _PIXELS:
+            continue
+        most = _LEAST_STEP * float(np.median(measured))
+        if 0 < _step(np.unique(measured[::_PART])) <= most:
+            continue  # between more depths the least step is no larger
         levels = np.unique(measured)
-        step = float(np.diff(levels).min()) if len(levels) > 1 else 0.0
-        if len(measured) > _PIXELS and (len(levels) == 1 or step > _LEAST_STEP * float(np.median(measured))):
+        step = _step(levels)
+        if len(levels) == 1 or step > most:
             apart = f", {step:.2g} m apart" if step else ""
             sentence = f"the depth of current frame {frame.index} takes only {len(levels)} values{apart}"
             remedy = "was it rounded to whole metres? Write millimetres, or finer, as 16-bit numbers"
             return [Finding("refused", f"{sentence}; {remedy}")]
     return []
+
+
+def _step(levels: Float) -> float:
+    """The least difference of ascending levels; 0 for fewer than two."""
+    return float(np.diff(levels).min()) if len(levels) > 1 else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float32, Int32
 
+from toolkit.perception.compiled import Compiled
 from toolkit.perception.explainers.searching.evidence import MOST_COST, Evidence
 from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.padding import pad_rows
@@ -79,7 +80,7 @@ class Scorer:
         return np.concatenate([np.asarray(s) for s in scores])[:count]
 
 
-@jax.jit
+@Compiled
 def _score(
     points: Float32[Array, "N 3"],
     normals: Float32[Array, "N 3"],
@@ -107,10 +108,10 @@ def _score(
         column = jnp.round(right / depth * K[0, 0] + K[0, 2]).astype(jnp.int32)
         row = jnp.round(down / depth * K[1, 1] + K[1, 2]).astype(jnp.int32)
         inside = (column >= 0) & (column < size[1]) & (row >= 0) & (row < size[0])
-        met = pixels[jnp.where(inside, row * size[1] + column, 0)]
-        gap = met[:, :3] - colours
-        own = jnp.minimum((gap * gap).sum(axis=1), MOST_COST)
-        shown = inside & front & (depth < met[:, 4])
-        return (weights * shown * (met[:, 3] - own)).sum() / weights.sum()
+        *colour, cost, known = pixels[jnp.where(inside, row * size[1] + column, 0)].T
+        # Channel by channel, since a sum over an axis of three is a loop of its own.
+        gap = sum((seen - wanted) ** 2 for seen, wanted in zip(colour, colours.T, strict=True))
+        shown = inside & front & (depth < known)
+        return (weights * shown * (cost - jnp.minimum(gap, MOST_COST))).sum() / weights.sum()
 
     return jax.vmap(gain)(yaw, place)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from toolkit.perception.compiled import Compiled
 from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 from toolkit.perception.pnp.solving.p3p import p3p
 
@@ -51,7 +52,7 @@ class _Search(NamedTuple):
     pose: Pose
 
 
-@jax.jit
+@Compiled
 def search(
     problem: Problem, samples: Int[Array, "rounds hypotheses 3"], confidence: Float[Array, ""]
 ) -> tuple[Pose, Float[Array, ""]]:
@@ -85,7 +86,7 @@ def search(
     return found.pose, found.cost
 
 
-@jax.jit
+@Compiled
 def polish(problem: Problem, pose: Pose) -> Pose:
     """Take a pose to the nearest minimum of the truncated cost, to convergence."""
     return _refine(problem, pose, jnp.full(_POLISH_STEPS, problem.threshold))

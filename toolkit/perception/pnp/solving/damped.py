@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from toolkit.perception.compiled import kept_type
 from toolkit.perception.jax_geometry import rotation_exp
 
 _FIRST_DAMPING = 1e-4
@@ -17,6 +18,7 @@ _EASED, _STIFFENED = 0.1, 10.0
 """What the damping is multiplied by after a step that lowered the cost, and after one that did not."""
 
 
+@kept_type
 class Pose(NamedTuple):
     """Rotation and translation."""
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
+from toolkit.perception.compiled import Compiled
 from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.pnp.solving.damped import Equations, Pose, descend
 
@@ -54,7 +55,7 @@ class Evidence(NamedTuple):
     scale: Float[Array, ""]
 
 
-@jax.jit
+@Compiled
 def search_planar(evidence: Evidence, samples: Int[Array, "hypotheses 2"], height: Float[Array, ""]) -> Pose:
     """The best motion on the table of samples of two rows; `height` is that of the points' mean, metres.
 
@@ -72,13 +73,13 @@ def search_planar(evidence: Evidence, samples: Int[Array, "hypotheses 2"], heigh
     return jax.tree.map(lambda part: part[winner], refined)
 
 
-@jax.jit
+@Compiled
 def polish(evidence: Evidence, start: Pose, free: Float[Array, " 6"]) -> Pose:
     """Take a motion to the nearest minimum of the robust cost; `free` is 1 for what of (turn, shift) may change."""
     return _refine(evidence, start, free, jnp.full(_POLISH_STEPS, evidence.scale))
 
 
-@jax.jit
+@Compiled
 def covariance(evidence: Evidence, motion: Pose, free: Float[Array, " 6"]) -> Float[Array, "6 6"]:
     """Covariance in rad^2 and m^2: the residuals' variance over the information; what is held fixed has 0."""
     H = _equations(evidence, free, motion, evidence.scale).H

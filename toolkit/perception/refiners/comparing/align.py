@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
+from toolkit.perception.compiled import Compiled, kept_type
 from toolkit.perception.jax_geometry import rotated, rotation_exp
 
 _PHOTO_SIGMA, _PHOTO_SHARE = 0.4, 0.25
@@ -71,6 +71,7 @@ class Source(NamedTuple):
     shape: Float[Array, "*batch N 3"]
 
 
+@kept_type
 class Aligned(NamedTuple):
     """Refined poses of centred model points in the goal's world.
 
@@ -103,9 +104,14 @@ class Freedom(NamedTuple):
     table: Float[Array, ""]
 
 
-@partial(jax.jit, static_argnums=5)
+@Compiled
 def align(
-    R: Float[Array, "B 3 3"], t: Float[Array, "B 3"], source: Source, goal: GoalImage, free: Freedom, iterations: int
+    R: Float[Array, "B 3 3"],
+    t: Float[Array, "B 3"],
+    source: Source,
+    goal: GoalImage,
+    free: Freedom,
+    iterations: Int[Array, ""] | int,
 ) -> Aligned:
     """Refine poses, each with its own Source (leading axis B).
 
@@ -121,26 +127,33 @@ def align(
 
 
 def _align(
-    R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, free: Freedom, iterations: int
+    R: Float[Array, "3 3"],
+    t: Float[Array, " 3"],
+    source: Source,
+    goal: GoalImage,
+    free: Freedom,
+    iterations: Int[Array, ""] | int,
 ) -> Aligned:
-    levels = goal.values.shape[0]
+    def settled(pose: _Pose, level: _Level) -> tuple[_Pose, None]:
+        return jax.lax.fori_loop(0, iterations, lambda _, now: step(level, *now), pose), None
 
-    def step(
-        level: int, R: Float[Array, "3 3"], t: Float[Array, " 3"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:
+    def step(level: _Level, R: Float[Array, "3 3"], t: Float[Array, " 3"]) -> _Pose:
         H, g = _normal_equations(R, t, source, goal, level, free)
         damped = H + jnp.diag(_DAMPING * jnp.diag(H) + 1e-6 + (1 - free.moves))
         delta = -jnp.linalg.solve(damped, g)
         turn, shift = _clipped(delta[:3], _MOST_TURN), _clipped(delta[3:], _MOST_SHIFT_M)
         return rotation_exp(turn) @ R, t + shift
 
-    turn, place = R, t
-    for level in range(levels):
-        turn, place = jax.lax.fori_loop(0, iterations, lambda _, pose, level=level: step(level, *pose), (turn, place))
-    information, _ = _normal_equations(turn, place, source, goal, levels - 1, free)
+    # Level by level in a loop: written out, each would be compiled and loaded on its own.
+    (turn, place), _ = jax.lax.scan(settled, (R, t), (goal.values, source.values))
+    information, _ = _normal_equations(turn, place, source, goal, (goal.values[-1], source.values[-1]), free)
     correlation, spill = _correlation(turn, place, source, goal), _spill(turn, place, source, goal)
     return Aligned(turn, place, information, correlation, spill)
 
+
+_Pose = tuple[Float[Array, "3 3"], Float[Array, " 3"]]
+_Level = tuple[Float[Array, "S S 3"], Float[Array, "M 3"]]
+"""Normalised intensities of the goal and of the source at one level."""
 
 Equations = tuple[Float[Array, "6 6"], Float[Array, " 6"]]
 """Gauss-Newton matrix and gradient."""
@@ -161,10 +174,10 @@ class _Seen(NamedTuple):
 
 
 def _normal_equations(
-    R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, level: int, free: Freedom
+    R: Float[Array, "3 3"], t: Float[Array, " 3"], source: Source, goal: GoalImage, level: _Level, free: Freedom
 ) -> Equations:
     shape = _seen(source.shape, R, t, goal)
-    photometric = _photometric(_seen(source.points, R, t, goal), source, goal, level)
+    photometric = _photometric(_seen(source.points, R, t, goal), source.weights, level)
     matrices, gradients = zip(photometric, _inside(shape, goal), _outline(shape, goal), strict=True)
     # Turns and shifts along the camera's axes are those along the world's, turned.
     axes = jnp.kron(jnp.eye(2), goal.R)
@@ -188,12 +201,12 @@ def _seen(points: Float[Array, "M 3"], R: Float[Array, "3 3"], t: Float[Array, "
     return _Seen(flat_x * fx + goal.K[0, 2], flat_y * fy + goal.K[1, 2], by_u, by_v)
 
 
-def _photometric(seen: _Seen, source: Source, goal: GoalImage, level: int) -> Equations:
+def _photometric(seen: _Seen, weights: Float[Array, " M"], level: _Level) -> Equations:
     """The goal shows at each point what the patch showed there."""
-    values, by_u, by_v, inside = _sample(goal.values[level], seen.u, seen.v)
-    residual = [value - wanted for value, wanted in zip(values, source.values[level].T, strict=True)]
+    values, by_u, by_v, inside = _sample(level[0], seen.u, seen.v)
+    residual = [value - wanted for value, wanted in zip(values, level[1].T, strict=True)]
     robust = 1 / (1 + _dot(residual, residual) / (3 * _PHOTO_SIGMA) ** 2) ** 2
-    weight = robust * inside * source.weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
+    weight = robust * inside * weights * _PHOTO_SHARE / _PHOTO_SIGMA**2
     uu, uv, vv = weight * _dot(by_u, by_u), weight * _dot(by_u, by_v), weight * _dot(by_v, by_v)
     ru, rv = weight * _dot(by_u, residual), weight * _dot(by_v, residual)
     H = (uu * seen.by_u + uv * seen.by_v) @ seen.by_u.T + (uv * seen.by_u + vv * seen.by_v) @ seen.by_v.T

@@ -15,7 +15,7 @@ from toolkit.perception.jax_geometry import on_device
 from toolkit.perception.refiners.comparing.align import Freedom, Source, align
 from toolkit.perception.refiners.comparing.cloud import Cloud
 from toolkit.perception.refiners.comparing.goal import GoalView
-from toolkit.perception.refiners.comparing.render import Score, score_poses
+from toolkit.perception.refiners.comparing.render import BATCH, Score, score_poses
 from toolkit.types import Float
 
 _PLACINGS = 4
@@ -201,12 +201,17 @@ def _start(T: Float, center: Float, free: Float) -> tuple[Float, Float]:
 def _agreement(cloud: Cloud, goal: GoalView, R: Float, t: Float) -> Score:
     """Agreement of (B, 3, 3), (B, 3) poses of the centred model with the goal; NumPy arrays (B,)."""
     T = invert(goal.frame.camera.T_world_camera)
-    poses = np.zeros((len(R), 4, 4), np.float32)
-    poses[:, :3, :3] = T[:3, :3] @ R
-    poses[:, :3, 3] = t @ T[:3, :3].T + T[:3, 3]
+    padded = len(R) + -len(R) % BATCH
+    poses = np.zeros((padded, 4, 4), np.float32)
+    poses[: len(R), :3, :3] = T[:3, :3] @ R
+    poses[: len(R), :3, 3] = t @ T[:3, :3].T + T[:3, 3]
+    shade = np.zeros((padded, len(cloud.points)), np.float32)
+    shade[: len(R)] = cloud.shade(R)
     K = on_device(goal.frame.camera.K)
-    arrays = map(jax.device_put, (cloud.points, cloud.normals, cloud.colors, cloud.valid, cloud.seen))
-    return jax.device_get(score_poses(*arrays, K, jax.device_put(poses), jax.device_put(cloud.shade(R)), goal.grid))
+    arrays = jax.device_put((cloud.points, cloud.normals, cloud.colors, cloud.valid, cloud.seen, K))
+    batches = [jax.device_put((poses[i : i + BATCH], shade[i : i + BATCH])) for i in range(0, padded, BATCH)]
+    scores = jax.device_get([score_poses(*arrays, *batch, goal.grid) for batch in batches])
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(R)], *scores)
 
 
 def _peaks(scores: Float, R: Float, count: int) -> NDArray[np.int64]:

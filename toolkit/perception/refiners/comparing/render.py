@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
+from toolkit.perception.compiled import Compiled, kept_type
 from toolkit.perception.jax_geometry import rotated
 from toolkit.perception.refiners.comparing.cloud import FACING_AWAY
 
@@ -21,8 +22,10 @@ _TOLERANCE_M = 0.012
 
 _BLUR_CELLS = 5
 _NOISE = 4.0
-_AT_ONCE = 24
-"""Poses whose grids fit into a core's cache together; all of them at once take twice the time."""
+
+BATCH = 24
+"""Poses whose grids fit into a core's cache together; all of them at once take twice the time. One number of them also
+makes one program to compile and to load."""
 
 
 class GoalGrid(NamedTuple):
@@ -43,6 +46,7 @@ class GoalGrid(NamedTuple):
     origin: Float[Array, " 2"]
 
 
+@kept_type
 class Score(NamedTuple):
     """How well a rendered pose agrees with the goal.
 
@@ -61,7 +65,7 @@ class Score(NamedTuple):
     color: Float[Array, "*batch"]
 
 
-@jax.jit
+@Compiled
 def score_poses(
     points: Float[Array, "N 3"],
     normals: Float[Array, "N 3"],
@@ -76,10 +80,10 @@ def score_poses(
     """Score poses T_camera_model of points (metres) with outward normals and opponent colours.
 
     Only `valid` points count; `shade` is the factor of their brightness in every pose. What is not `known`, or seen
-    from behind, belongs to the silhouette but has no colour.
+    from behind, belongs to the silhouette but has no colour. B is best always BATCH.
     """
     score = partial(_score, points, normals, colors, valid, known, K, goal)
-    return jax.lax.map(lambda one: score(*one), (poses, shade), batch_size=_AT_ONCE)
+    return jax.vmap(score)(poses, shade)
 
 
 def _score(
