@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -162,10 +163,42 @@ def test_from_a_joint_that_was_measured_a_rounding_beyond_its_limit_there_are_wa
     clearance.see(bar(0.0) + np.array([-0.9, 0, 0]), post)
     start, goal = np.array(PANDA.home), np.array(PANDA.home)
     start[[0, 6]], goal[0] = (-0.8, clearance.robot.chain.upper[6] + 1e-12), 0.8
-    path = reach.free_path(start, goal)
+    path = reach.free_path(start, goal, partial(clearance.arrange, clearance.drive))
     assert isinstance(path, Trajectory) and len(path.positions) > 2
     assert (path.positions <= clearance.robot.chain.upper).all()
     np.testing.assert_allclose(path.start, start, atol=1e-9)
+
+
+def test_a_free_path_keeps_far_where_there_is_room():
+    """Over a bar lying across the straight way: a path that is only just free would do, and another one is taken."""
+    clearance, reach = panda()
+    start = np.array(PANDA.home)
+    start[0] = -0.8
+    goal = start * np.array([-1, 1, 1, 1, 1, 1, 1])
+    post = np.random.default_rng(0).uniform([0.35, -0.02, 0], [0.6, 0.02, 0.7], (5000, 3))
+    clearance.see(bar(0.0) + np.array([-0.9, 0, 0]), post)
+    arranged = partial(clearance.arrange, clearance.drive)
+    path = reach.free_path(start, goal, arranged)
+    arranged(far=True)
+    assert all(map(clearance.free, path.positions))
+
+
+def test_a_free_path_comes_near_where_there_is_no_other():
+    """The arm begins between a near thing's margin and that of keeping far."""
+    clearance, reach = panda()
+    q = np.array(PANDA.home)
+    arranged = partial(clearance.arrange, clearance.drive)
+    for beside in np.arange(0.02, 0.12, 0.001):
+        tip = clearance.hand_at(q) @ make_transform(np.eye(3), np.array([0, beside, 0.1]))
+        clearance.see(np.zeros((0, 3)), tip[None, :3, 3])
+        arranged(far=True)
+        tight = not clearance.free(q)
+        arranged(far=False)
+        if tight and clearance.free(q):
+            break
+    else:
+        pytest.fail("nowhere is only the larger margin in the way")
+    assert isinstance(reach.free_path(q, q + np.array([0, -0.2, 0, 0, 0, 0, 0]), arranged), Trajectory)
 
 
 CAMERA_K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])

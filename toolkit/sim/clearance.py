@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
@@ -25,9 +26,21 @@ _COARSE_M = 0.004
 _APART_M = FINE_M + 0.0005
 """Nothing else is this near to a point of the object: neighbours that touch each other do not cut into each other."""
 
+_FAR_M = 0.002
+"""So much larger than else is everything where the arm keeps far: seen points do not lie everywhere on a rim or an
+edge, and in free motion there is room."""
+
 _NOWHERE = np.zeros((0, 3))
 _FAR_LINKS = 3
 """Links this many joints apart are kept from touching; nearer ones meet at their joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """What the arm passes by: the object, and all others."""
+
+    passed: Cubes | None
+    others: Cubes | None
 
 
 class Clearance:
@@ -56,10 +69,11 @@ class Clearance:
         self._urdf = absolute_text(robot.model.urdf())
         self.points: Float = np.zeros((0, 3))
         """(N, 3) of the object, where it was seen."""
+        self.drive: float = robot.model.drive[0]
+        """Of the gripper, as arranged."""
         self._load: Cubes | None = None
-        self._passed: Cubes | None = None
-        self._others: Cubes | None = None
-        self.arrange(robot.model.drive[0])
+        self._near = self._far = _Around(None, None)
+        self.arrange(self.drive)
         from toolkit.sim.arm_scene import ArmScene  # RoboPlan is not on every machine
 
         self._scene = ArmScene(self.world(), robot.chain.lower, robot.chain.upper)
@@ -73,35 +87,46 @@ class Clearance:
             empty: (K, 3) of space below the object's points that was seen to be empty (`hidden.empty_below`).
         """
         self.points = points
-        self._others = standing(around(others, _COARSE_M, self._margin)) if len(others) else None
-        if not len(points):
-            self._load = self._passed = None
-        else:
-            self._load = with_underside(points, empty)
-            whole = np.concatenate([points, self._load.centers])
-            self._passed = around(whole, _COARSE_M, self._margin)
-            if self._others is not None:
-                self._others = without(self._others, around(whole, _COARSE_M, _APART_M))
-        self.arrange(self._drive)
+        self._load = with_underside(points, empty) if len(points) else None
+        self._near, self._far = (self._around(others, margin) for margin in (self._margin, self._margin + _FAR_M))
+        self.arrange(self.drive)
 
-    def arrange(self, drive: float) -> None:
-        """Leave the object where it was seen, with the fingers at a drive value, and pass by it at a distance."""
-        self._drive = drive
-        self._set(Solid(_LOAD, self._passed, np.eye(4)) if self._passed is not None else None)
+    def _around(self, others: Float, margin: float) -> _Around:
+        """The object and (M, 3) points of all others, by so much larger than they were seen."""
+        full = standing(around(others, _COARSE_M, margin)) if len(others) else None
+        if self._load is None:
+            return _Around(None, full)
+        whole = np.concatenate([self.points, self._load.centers])
+        if full is not None:
+            full = without(full, around(whole, _COARSE_M, _APART_M))
+        return _Around(around(whole, _COARSE_M, margin), full)
+
+    def arrange(self, drive: float, *, far: bool = False) -> None:
+        """Leave the object where it was seen, with the fingers at a drive value, and pass by it at a distance.
+
+        Args:
+            drive: of the gripper.
+            far: keep far from everything.
+        """
+        self.drive = drive
+        passed = (self._far if far else self._near).passed
+        self._set(Solid(_LOAD, passed, np.eye(4)) if passed is not None else None, far=far)
 
     def approach(self) -> None:
         """From now on the arm may come as near to the object as it can without touching it."""
         self._set(Solid(_LOAD, self._load, np.eye(4)) if self._load is not None else None)
 
-    def carry(self, in_hand: Float, *, over_table: bool = False) -> None:
+    def carry(self, in_hand: Float, *, over_table: bool = False, far: bool = False) -> None:
         """From now on the object moves with the hand, at a (4, 4) pose in its frame of where it was seen.
 
         Args:
             in_hand: takes points of the world, where they were seen, into the hand's frame.
             over_table: it must not touch the table. Where it was seen to stand, and where it is to stand, has errors.
+            far: keep far from everything else.
         """
         assert self._load is not None
-        self._set(Solid(_LOAD, self._load, in_hand, self.robot.model.hand), touching=True, over_table=over_table)
+        load = Solid(_LOAD, self._load, in_hand, self.robot.model.hand)
+        self._set(load, touching=True, over_table=over_table, far=far)
 
     def put(self, T: Float, drive: float, *, held: bool) -> None:
         """Leave the object a (4, 4) motion away from where it was seen, between fingers at a drive value for now.
@@ -115,7 +140,13 @@ class Clearance:
         self._set(Solid(_LOAD, self._load, T), touching=held, drive=drive)
 
     def _set(
-        self, load: Solid | None, *, touching: bool = False, over_table: bool = False, drive: float | None = None
+        self,
+        load: Solid | None,
+        *,
+        touching: bool = False,
+        over_table: bool = False,
+        far: bool = False,
+        drive: float | None = None,
     ) -> None:
         allowed = self._allowed
         if touching:
@@ -123,12 +154,13 @@ class Clearance:
         if load is not None and not over_table:
             allowed |= {(_LOAD, _TABLE_NAME)}
         solids = [Solid(_TABLE_NAME, _TABLE, np.eye(4))]
-        if self._others is not None:
-            solids.append(Solid(_OTHERS, self._others, np.eye(4)))
+        others = (self._far if far else self._near).others
+        if others is not None:
+            solids.append(Solid(_OTHERS, others, np.eye(4)))
         if load is not None:
             solids.append(load)
         robot = self.robot
-        joints = robot.finger_joints(self._drive if drive is None else drive)
+        joints = robot.finger_joints(self.drive if drive is None else drive)
         self._world = ArmWorld(self._urdf, robot.model.arm, joints, robot.T_world_base, tuple(solids), allowed)
         self._shown = False
 
@@ -138,14 +170,15 @@ class Clearance:
 
     def room(self, T: Float) -> bool:
         """Say whether the object would touch no other, a (4, 4) motion away from where it was seen."""
-        return self._others is None or not any_inside(self._others, transform_points(T, self.points))
+        others = self._near.others
+        return others is None or not any_inside(others, transform_points(T, self.points))
 
     def fits(self, T: Float) -> bool:
         """Say whether the object, as large as it is carried, would touch no other a (4, 4) motion away."""
-        if self._load is None or self._others is None:
+        if self._load is None or self._near.others is None:
             return True
         corners = self._load.centers[:, None] + self._load.side / 2 * _CORNERS
-        return not any_inside(self._others, transform_points(T, corners.reshape(-1, 3)))
+        return not any_inside(self._near.others, transform_points(T, corners.reshape(-1, 3)))
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""

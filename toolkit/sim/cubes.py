@@ -21,7 +21,8 @@ _SAME_PLACE_M = FINE_M * np.sqrt(3)
 
 def around(points: Float, side: float, margin: float = 0.0) -> Cubes:
     """The cubes of a side that hold (N, 3) points, N > 0, and what lies within `margin` metres along the axes."""
-    margins = margin * np.array(list(product((-1, 0, 1), repeat=3))) if margin else np.zeros((1, 3))
+    steps = np.linspace(-margin, margin, 2 * int(np.ceil(margin / side)) + 1)
+    margins = np.array(list(product(steps, repeat=3)))
     return Cubes(_distinct(np.concatenate([_cells(points + by, side) for by in margins])), side)
 
 

@@ -125,8 +125,9 @@ class ArmPlanner:
         return grasps if isinstance(grasps, Failure) else self.reach(seed).plan(q, grasps, request.T_place_pick)
 
     def to_home(self, q: Float, seed: int) -> Trajectory | Failure:
-        """A free path home from (J,) joint angles, among what is arranged."""
-        return self.reach(seed).free_path(q, np.array(self._tools.model.home))
+        """A free path home from (J,) joint angles, among what was seen, with the fingers as they were arranged."""
+        arranged = partial(self.clearance.arrange, self.clearance.drive)
+        return self.reach(seed).free_path(q, np.array(self._tools.model.home), arranged)
 
     def reach(self, seed: int) -> Reach:
         """Ways among what is arranged."""

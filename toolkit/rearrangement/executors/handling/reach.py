@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
+from typing import Protocol
 
 import numpy as np
 
@@ -65,6 +67,14 @@ class _Landing:
 
     lower: Float
     retreat: Float
+
+
+class Arranged(Protocol):
+    """Puts objects where they are."""
+
+    def __call__(self, *, far: bool) -> None:
+        """Do so; where `far` is said, the arm keeps far from them (`Clearance`)."""
+        ...
 
 
 class Reach:
@@ -232,12 +242,13 @@ class Reach:
     def _join(self, q: Float, grasp: Grasp, lines: _Lines) -> Way | Failure:
         """Free paths to the straight parts, and between them."""
         clearance = self._clearance
-        clearance.arrange(clearance.robot.drive_for(grasp.opening))
-        to_grasp = self.free_path(q, lines.approach[0])
+        to_grasp = self.free_path(
+            q, lines.approach[0], partial(clearance.arrange, clearance.robot.drive_for(grasp.opening))
+        )
         if isinstance(to_grasp, Failure):
             return to_grasp
-        clearance.carry(clearance.in_hand(lines.lift[0]), over_table=True)
-        transfer = self.free_path(lines.lift[-1], lines.lower[0])
+        carry = partial(clearance.carry, clearance.in_hand(lines.lift[0]), over_table=True)
+        transfer = self.free_path(lines.lift[-1], lines.lower[0], carry)
         if isinstance(transfer, Failure):
             return transfer
         line = self._timer.line
@@ -269,8 +280,8 @@ class Reach:
         clearance.arrange(clearance.robot.drive_for(way.closed_m))
         landing = self._land(in_hand, wanted, way.lower.end, way.opening_m)
         if not isinstance(landing, int):
-            clearance.carry(in_hand, over_table=True)
-            transfer = self.free_path(way.lift.end, landing.lower[-1])
+            carry = partial(clearance.carry, in_hand, over_table=True)
+            transfer = self.free_path(way.lift.end, landing.lower[-1], carry)
             if not isinstance(transfer, Failure):
                 lower, retreat = self._timer.line(landing.lower[::-1]), self._timer.line(landing.retreat)
                 return way.model_copy(update={"transfer": transfer, "lower": lower, "retreat": retreat})
@@ -292,10 +303,26 @@ class Reach:
         clear = next((i for i, on_way in enumerate(path) if self._clearance.free(on_way)), 0)
         return self._timer.line(path[: clear + 1])
 
-    def free_path(self, start: Float, goal: Float) -> Trajectory | Failure:
-        """A path from one pose of the arm to another among objects as arranged."""
-        clearance, chain = self._clearance, self._clearance.robot.chain
+    def free_path(self, start: Float, goal: Float, arranged: Arranged) -> Trajectory | Failure:
+        """A path from one pose of the arm to another, far from everything where such a path is found.
+
+        Args:
+            start: (J,) joint angles.
+            goal: (J,) the same.
+            arranged: puts objects where they are, as things to keep far from or not.
+        """
+        chain = self._clearance.robot.chain
         start = np.clip(start, chain.lower, chain.upper)  # what was measured at a limit can lie a rounding beyond it
+        arranged(far=True)
+        if self._clearance.free(start) and self._clearance.free(goal):
+            path = self._searched(start, goal)
+            if isinstance(path, Trajectory):
+                return path
+        arranged(far=False)
+        return self._searched(start, goal)
+
+    def _searched(self, start: Float, goal: Float) -> Trajectory | Failure:
+        clearance, chain = self._clearance, self._clearance.robot.chain
         problem = MotionProblem(start, goal, chain.lower, chain.upper, clearance.free, clearance.world())
         path = self._planner.plan(problem, self._seed)
         return path if isinstance(path, Failure) else self._timer.free(path)
