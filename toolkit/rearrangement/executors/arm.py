@@ -164,10 +164,7 @@ class Arm(Plugin[ArmConfig], Executor):
         if number is None:
             return Outcome(Failure("executor", "there is no object where it was to be picked"))
         touches, begun = len(self.touches), self.moves
-        try:
-            failure, moved = self._carry_out(number, request)
-        except DriverError as error:  # in a simulator nothing is lost by going on
-            failure, moved = Failure("executor", str(error)), None
+        failure, moved = self._carry_out(number, request)
         seconds, picks = self._bench.seconds - start, self.moves - begun
         return Outcome(failure, number, seconds, moved, len(self.touches) > touches, picks)
 
@@ -177,7 +174,8 @@ class Arm(Plugin[ArmConfig], Executor):
         if not self._task.table.holds(Footprint.of(transform_points(request.T_place_pick, request.points)).center):
             return Failure("executor", "the place lies beyond the table's edge"), None
         self._planner.see(request)
-        self._back_off(number)
+        with suppress(DriverError):
+            self._back_off(number)
         steps = steps_of(self._planner, request, self._q, self.moves)
         if isinstance(steps, Failure):
             return steps, None
@@ -197,7 +195,10 @@ class Arm(Plugin[ArmConfig], Executor):
         """Take an object along a way; what went wrong, and the motion that it has had, where it is known."""
         wanted = request.T_place_pick
         eye = self._eye(number, request, self._planner.reach(self.moves))
-        failure = self._mover.carry_out(way, eye)
+        try:
+            failure = self._mover.carry_out(way, eye)
+        except DriverError as error:  # in a simulator nothing is lost by going on
+            return Failure("executor", str(error)), None
         self._bench.wait(_REST_S, "resting", number)
         expected = wanted if failure is None else np.eye(4)
         moved = eye.placed(expected)
