@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 
@@ -84,8 +85,14 @@ class ArmScene:
         self._scene.setJointPositions(full)
 
     def _exchange(self, shapes: Mapping[str, Shape | Cubes]) -> None:
-        """Take out the things that are gone or look different now, and bring in those that are new."""
-        for name in [name for name, shape in self._shapes.items() if shapes.get(name) is not shape]:
+        """Take out the things that are gone or look different now, and bring in those that are new.
+
+        What was brought in after a thing that is taken out is brought in anew: RoboPlan 0.7 takes it for another then,
+        and does not see what touches it.
+        """
+        names = list(self._shapes)
+        kept = next((i for i, name in enumerate(names) if shapes.get(name) is not self._shapes[name]), len(names))
+        for name in reversed(names[kept:]):
             self._scene.removeGeometry(name)
             del self._shapes[name]
             self._off = {pair for pair in self._off if name not in pair}
@@ -250,6 +257,7 @@ def _array(values: Float) -> NDArray[np.float64]:
     return np.asarray(values, np.float64)
 
 
+@lru_cache(maxsize=1)  # the table's
 def _mesh(shape: Shape) -> Mesh:
     hulls = [trimesh.Trimesh(piece).convex_hull for piece in shape.pieces]
     with tempfile.TemporaryDirectory(prefix="toolkit-") as folder:
@@ -258,6 +266,7 @@ def _mesh(shape: Shape) -> Mesh:
         return Mesh(file)
 
 
+@lru_cache(maxsize=8)  # those of one move: near and far, they are brought in again and again
 def _octree(cubes: Cubes) -> OcTree:
     """RoboPlan takes a box as its middle, its size, how sure it is to be full, and from where on it counts as full."""
     boxes = np.column_stack([cubes.centers, np.tile([cubes.side, 1.0, 0.5], (len(cubes.cells), 1))])
