@@ -465,16 +465,21 @@ def test_a_wall_is_kept(folder):
     assert capture.notes == () and all((frame.depth[wall] == 4).all() for frame in capture.current)
 
 
-@pytest.mark.parametrize("blank", [False, True])
-def test_a_frame_without_depth_is_left_out_by_name(folder, blank):
-    path = folder / "current/depth/000002.png"
-    path.unlink()
-    if blank:
-        cv2.imwrite(str(path), np.zeros((240, 320), np.uint16))
+def test_a_frame_without_depth_is_left_out_by_name(folder):
+    (folder / "current/depth/000002.png").unlink()
     capture = load_capture(folder)
     assert [frame.index for frame in capture.current] == [0, 1, 3]
-    assert capture.notes[0].startswith("current frame 2 is left out: ")
-    assert ("nothing was measured" if blank else "depth/000002.png' is missing") in capture.notes[0]
+    (note,) = capture.notes
+    assert note.startswith("current frame 2 is left out: ") and "depth/000002.png' is missing" in note
+
+
+def test_frames_that_measured_nothing_are_one_sentence(folder):
+    for image in (1, 2):
+        cv2.imwrite(str(folder / f"current/depth/{image:06d}.png"), np.zeros((240, 320), np.uint16))
+    capture = load_capture(folder)
+    assert [frame.index for frame in capture.current] == [0, 3]
+    (note,) = capture.notes
+    assert note == "current frames with depth of zero everywhere are left out: nothing was measured (images 1, 2)"
 
 
 def test_several_frames_without_depth_are_two_sentences(folder):

@@ -158,3 +158,19 @@ def test_a_build_that_was_stopped_is_not_believed_and_goes_on(cache, tmp_path):
     build_dataset(config, out, cache)
     assert [path.name for path in read_dataset(out)] == ["000000", "000001"]
     assert {name: sha for name, sha in files(out).items() if name.parts[0][0] != "."} == whole
+
+
+def test_settings_that_did_not_work_can_be_mended_in_the_same_folder(cache, tmp_path):
+    config = TabletopConfig(scenes=1, seed=8, **SMALL)
+    with pytest.raises(ToolkitError, match="max_objects is 999, but"):
+        build_dataset(config.model_copy(update={"max_objects": 999}), tmp_path, cache)
+    build_dataset(config, tmp_path, cache)
+    assert json.loads((tmp_path / "dataset.json").read_text())["config"]["max_objects"] == config.max_objects
+    assert len(read_dataset(tmp_path)) == 1
+
+
+def test_another_tools_list_is_not_written_over(cache, tmp_path):
+    (tmp_path / "dataset.json").write_text('{"config": {}}')
+    with pytest.raises(ToolkitError, match="is not empty; name a new folder"):
+        build_dataset(TabletopConfig(scenes=1, **SMALL), tmp_path, cache)
+    assert (tmp_path / "dataset.json").read_text() == '{"config": {}}'

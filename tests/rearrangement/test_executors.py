@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -176,6 +178,31 @@ def test_a_recording_plays_back_what_happened(scene, tmp_path):
     assert "no further move" in replay.pick_place(moves[0]).failure.reason
     with pytest.raises(ToolkitError, match="holds 2 observations"):
         replay.observe()
+
+
+def test_recordings_without_what_was_added_later_play_back_and_damaged_ones_are_named(scene, tmp_path):
+    kinematic = Kinematic()
+    recorder = Recorder(kinematic, tmp_path)
+    recorder.begin(scene)
+    recorder.observe()
+    asked = request(scene, kinematic, 0, free_corner(scene, kinematic, 0))
+    outcome = recorder.pick_place(asked)
+    recorder.close()
+
+    log = tmp_path / "moves.json"
+    (move,) = json.loads(log.read_text())
+    replay = Replay(ReplayConfig(folder=tmp_path))
+    log.write_text(json.dumps([{key: value for key, value in move.items() if key not in ("picks", "T_moved")}]))
+    replay.begin(None)
+    assert replay.pick_place(asked) == outcome and outcome.picks == 1
+    damaged = (3, {}, ["a"], [{}], [move | {"picks": None}], [move | {"pick": [0, 0]}], [move | {"T_place_pick": {}}])
+    for entries in damaged:
+        log.write_text(json.dumps(entries))
+        with pytest.raises(ToolkitError, match="' is no list of recorded moves: "):
+            replay.begin(None)
+    log.write_text("[")
+    with pytest.raises(ToolkitError, match="' is not readable JSON"):
+        replay.begin(None)
 
 
 def test_a_replay_refuses_another_move(scene, tmp_path):

@@ -73,7 +73,7 @@ def build_dataset(
 
     Args:
         config: its settings.
-        out: the folder; it must be absent, empty, or a benchmark of the same settings.
+        out: the folder; it must be absent, empty, or a benchmark of the same settings, or of others with no scene yet.
         cache: where the object set's own files are kept.
         workers: who builds; scene k is the same whoever does. This process when left out.
         on_scene: progress.
@@ -85,8 +85,11 @@ def build_dataset(
     require_pybullet()
     objects = object_set(config.objects, cache)
     made = _made(config.model_dump(mode="json"), config.renderer, objects)
-    begun = out.exists() and any(not path.name.startswith(".") for path in out.iterdir())
-    if begun and _read_made(out) != made:
+    held = {path.name for path in out.glob("[!.]*")}
+    earlier = _read_made(out)
+    # A call whose settings do not work leaves dataset.json alone behind.
+    unbuilt = held == {_MADE} and earlier.get("generator") == _GENERATOR
+    if held and not unbuilt and earlier != made:
         raise ToolkitError(f"'{out}' is not empty; name a new folder")
     _build(config, objects, out, made, cache, workers, on_scene, range(config.scenes))
     return out

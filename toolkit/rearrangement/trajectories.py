@@ -16,7 +16,10 @@ _DIGITS = 9
 
 
 def _numbers(value: object) -> Float:
-    array = np.array(value, np.float64)
+    try:
+        array = np.array(value, np.float64)
+    except TypeError as error:
+        raise ValueError("numbers are wanted") from error
     if not np.isfinite(array).all():
         raise ValueError("every number must be finite")
     array.setflags(write=False)

@@ -104,7 +104,7 @@ class SceneFolder:
         if not measured:
             raise ToolkitError(f"'{folder.path}': every depth image is zero everywhere; nothing was measured")
         for frame in (frame for frame in frames if not _depth(frame).any()):
-            notes.add(f"current frame {frame.index} is left out: its depth is zero everywhere; nothing was measured")
+            notes.add("current frames with depth of zero everywhere are left out: nothing was measured", frame.index)
         return measured
 
     def _frames(self, depths: Mapping[int, Path], notes: Notes) -> list[Frame]:

@@ -2,24 +2,49 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from toolkit.data.bop import load_capture, write_capture
 from toolkit.errors import ToolkitError
-from toolkit.files import write_json
+from toolkit.files import read_json, write_json
 from toolkit.geometry import transform_points
 from toolkit.rearrangement.moves import Outcome, PickPlace
 from toolkit.rearrangement.stages import Executor
+from toolkit.rearrangement.trajectories import Part, Row, Rows
 from toolkit.registry import Plugin, PluginConfig
 from toolkit.types import Failure, Float, Frame, TrueObject
 
 _LOG = "moves.json"
+
+
+def _of_shape(*shape: int) -> AfterValidator:
+    def checked(array: Float) -> Float:
+        if array.shape != shape:
+            raise ValueError(f"its shape is {array.shape} instead of {shape}")
+        return array
+
+    return AfterValidator(checked)
+
+
+_Motion = Annotated[Rows, _of_shape(4, 4)]
+
+
+class _Move(Part):
+    """What was asked for, and what became of it: an entry of moves.json. Older recordings lack what has a default."""
+
+    pick: Annotated[Row, _of_shape(3)]
+    T_place_pick: _Motion
+    object: int | None
+    seconds: float
+    picks: int = 1
+    T_moved: _Motion | None = None
+    stage: str | None
+    reason: str | None
 
 
 class Recorder(Executor):
@@ -39,7 +64,7 @@ class Recorder(Executor):
         self._folder = folder
         self._truth = truth
         self._observations = 0
-        self._moves: list[dict[str, Any]] = []
+        self._moves: list[_Move] = []
 
     def begin(self, task: Any) -> Frame:
         self._goal = self._executor.begin(task)
@@ -60,18 +85,18 @@ class Recorder(Executor):
         outcome = self._executor.pick_place(request)
         failure = outcome.failure
         self._moves.append(
-            {
-                "pick": request.points.mean(axis=0).tolist(),
-                "T_place_pick": request.T_place_pick.tolist(),
-                "object": outcome.object,
-                "seconds": outcome.seconds,
-                "picks": outcome.picks,
-                "T_moved": None if outcome.T_moved is None else outcome.T_moved.tolist(),
-                "stage": failure.stage if failure else None,
-                "reason": failure.reason if failure else None,
-            }
+            _Move(
+                pick=request.points.mean(axis=0),
+                T_place_pick=request.T_place_pick,
+                object=outcome.object,
+                seconds=outcome.seconds,
+                picks=outcome.picks,
+                T_moved=outcome.T_moved,
+                stage=failure.stage if failure else None,
+                reason=failure.reason if failure else None,
+            )
         )
-        write_json(self._folder / _LOG, self._moves)
+        write_json(self._folder / _LOG, [move.model_dump(mode="json") for move in self._moves])
         return outcome
 
     def home(self) -> None:
@@ -105,7 +130,7 @@ class Replay(Plugin[ReplayConfig], Executor):
         """Start at the recording's first observation and return its goal image; `task` is not used."""
         self.check_ready()
         self._captures = sorted(path for path in self.config.folder.iterdir() if path.is_dir())
-        self._moves: list[dict[str, Any]] = _read_moves(self.config.folder / _LOG)
+        self._moves = _read_moves(self.config.folder / _LOG)
         self._seen = 0
         return load_capture(self._captures[0]).goal
 
@@ -125,15 +150,12 @@ class Replay(Plugin[ReplayConfig], Executor):
         if not self._moves:
             return Outcome(Failure("executor", "the recording has no further move"))
         move = self._moves.pop(0)
-        pick = np.array(move["pick"])
-        wanted = transform_points(request.T_place_pick, pick)
-        recorded = transform_points(np.array(move["T_place_pick"]), pick)
-        off = max(np.linalg.norm(request.points.mean(axis=0) - pick), np.linalg.norm(wanted - recorded))
+        wanted, recorded = (transform_points(T, move.pick) for T in (request.T_place_pick, move.T_place_pick))
+        off = max(np.linalg.norm(request.points.mean(axis=0) - move.pick), np.linalg.norm(wanted - recorded))
         if off > self.config.tolerance_m:
             return Outcome(Failure("executor", f"the recorded move lies {100 * off:.1f} cm from the one asked for"))
-        failure = None if move["stage"] is None else Failure(move["stage"], move["reason"])
-        moved = None if move.get("T_moved") is None else np.array(move["T_moved"])
-        return Outcome(failure, move["object"], move["seconds"], moved, picks=move.get("picks", 1))
+        failure = None if move.stage is None else Failure(move.stage, move.reason or "")
+        return Outcome(failure, move.object, move.seconds, move.T_moved, picks=move.picks)
 
     def home(self) -> None:
         """Do nothing: the recorded frames were taken without a robot in sight."""
@@ -145,10 +167,12 @@ class Replay(Plugin[ReplayConfig], Executor):
         """Let go of the task: nothing, since no file stays open between observations."""
 
 
-def _read_moves(path: Path) -> list[dict[str, Any]]:
+def _read_moves(path: Path) -> list[_Move]:
     if not path.exists():
         return []
     try:
-        return list(json.loads(path.read_text()))
-    except ValueError as error:
-        raise ToolkitError(f"'{path}' is not valid JSON: {error}") from error
+        return TypeAdapter(list[_Move]).validate_python(read_json(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"{part}: " for part in first["loc"])
+        raise ToolkitError(f"'{path}' is no list of recorded moves: {where}{first['msg']}") from error
