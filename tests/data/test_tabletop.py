@@ -174,3 +174,10 @@ def test_another_tools_list_is_not_written_over(cache, tmp_path):
     with pytest.raises(ToolkitError, match="is not empty; name a new folder"):
         build_dataset(TabletopConfig(scenes=1, **SMALL), tmp_path, cache)
     assert (tmp_path / "dataset.json").read_text() == '{"config": {}}'
+
+
+def test_a_dataset_is_not_built_in_a_file(cache, tmp_path):
+    (tmp_path / "scenes").write_text("mine")
+    with pytest.raises(ToolkitError, match="scenes' is a file; name a folder"):
+        build_dataset(TabletopConfig(scenes=1, **SMALL), tmp_path / "scenes", cache)
+    assert (tmp_path / "scenes").read_text() == "mine"

@@ -85,6 +85,8 @@ def build_dataset(
     require_pybullet()
     objects = object_set(config.objects, cache)
     made = _made(config.model_dump(mode="json"), config.renderer, objects)
+    if out.exists() and not out.is_dir():
+        raise ToolkitError(f"'{out}' is a file; name a folder")
     held = {path.name for path in out.glob("[!.]*")}
     earlier = _read_made(out)
     # A call whose settings do not work leaves dataset.json alone behind.
