@@ -71,7 +71,7 @@ def test_a_new_grasper_and_motion_planner_work_in_the_arm(tmp_path):
         "dataset.supersample": "1",
         "dataset.rotation_deg": "60",
     }
-    arguments = ["rearrange", "arm", "--scenes", "1", "--workers", "1", "--out", tmp_path / "run"]
+    arguments = ["rearrange", "arm", "--scenes", "1", "--seed", "7", "--workers", "1", "--out", tmp_path / "run"]
     arguments += ["--pnp", "poselib", "--refiner", "none"]
     arguments += [word for folder in plugins for word in ("--plugin", folder / f"toolkit_my_{folder.name}.py")]
     arguments += [word for path, value in chosen.items() for word in ("--set", f"{path}={value}")]
