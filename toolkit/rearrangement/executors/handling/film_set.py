@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from toolkit.data.cameras import filming_camera
 from toolkit.data.scenery.props import AWAY
 from toolkit.data.tabletop import Studio, TabletopScene
@@ -15,9 +13,6 @@ from toolkit.types import Camera, Float, Frame, Image
 
 _NEAR_M = 0.02
 """A camera in the hand sees the fingers."""
-
-_RENDERER = "tiny"
-"""PyBullet's EGL plug-in draws one client per process: with a second one, the first one's pictures can be empty."""
 
 
 class FilmSet:
@@ -32,8 +27,7 @@ class FilmSet:
     def __init__(self, task: TabletopScene, model: RobotModel, T_world_base: Float) -> None:
         self._task = task
         self._goal: Image | None = None
-        drawn = replace(task, config=task.config.model_copy(update={"renderer": _RENDERER}))
-        self._studio = Studio(drawn, cache_root(), _NEAR_M)
+        self._studio = Studio(task, cache_root(), _NEAR_M)
         self._camera = filming_camera(task.config.resolution)
         self._robot = Robot(self._studio.client, model, T_world_base, pictures=True)
 
