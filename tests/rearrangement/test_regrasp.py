@@ -66,6 +66,7 @@ def test_where_no_grasp_serves_both_places_the_object_stands_aside(planner):
         for before, after in pairwise([*parts, step.way.retreat]):
             np.testing.assert_allclose(before.end, after.start, atol=1e-6)
     np.testing.assert_allclose(second.way.to_grasp.start, first.way.retreat.end, atol=1e-6)
+    np.testing.assert_array_equal(planner.clearance.points, asked.points)  # where it stands, not where it is to stand
     at_start, aside = (step.way.T_world_gripper[:3, 0] for step in (first, second))
     at_goal = second.T_place_pick[:3, :3] @ aside
     assert abs(at_start[1]) > 0.9 and abs(at_goal[0]) > 0.9
@@ -76,3 +77,4 @@ def test_what_cannot_be_taken_or_put_down_at_all_is_not_stood_aside(planner, sta
     asked = among(start, goal)
     failure = planner.plan(asked, HOME, 0)
     assert isinstance(failure, Failure) and steps_of(planner, asked, HOME, 0) == failure
+    np.testing.assert_array_equal(planner.clearance.points, asked.points)

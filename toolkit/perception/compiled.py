@@ -24,6 +24,8 @@ from toolkit.paths import cache_root
 _Result = TypeVar("_Result")
 _Type = TypeVar("_Type", bound=type)
 
+_SEAL = hashlib.sha256().digest_size
+
 
 class Compiled(Generic[_Result]):
     """A function of arrays as `jax.jit` makes it, its traced program kept where JAX keeps the compiled one.
@@ -60,7 +62,8 @@ class Compiled(Generic[_Result]):
         key = digest([name, source_digest(self._function.__module__), jax.__version__, *map(str, kind)])
         path = folder / f"{name}-{key}-traced"
         with suppress(OSError):
-            seal, program = path.read_bytes()[:32], path.read_bytes()[32:]
+            kept = path.read_bytes()
+            seal, program = kept[:_SEAL], kept[_SEAL:]
             if seal == hashlib.sha256(program).digest():
                 return export.deserialize(bytearray(program))
 

@@ -72,7 +72,8 @@ class Clearance:
         self.drive: float = robot.model.drive[0]
         """Of the gripper, as arranged."""
         self._load: Cubes | None = None
-        self._near = self._far = _Around(None, None)
+        self._seen_others: Float = _NOWHERE
+        self._surroundings: dict[bool, _Around] = {}
         self.arrange(self.drive)
         from toolkit.sim.arm_scene import ArmScene  # RoboPlan is not on every machine
 
@@ -88,11 +89,19 @@ class Clearance:
         """
         self.points = points
         self._load = with_underside(points, empty) if len(points) else None
-        self._near, self._far = (self._around(others, margin) for margin in (self._margin, self._margin + _FAR_M))
+        self._seen_others = others
+        self._surroundings = {}
         self.arrange(self.drive)
 
-    def _around(self, others: Float, margin: float) -> _Around:
-        """The object and (M, 3) points of all others, by so much larger than they were seen."""
+    def _around(self, *, far: bool) -> _Around:
+        """What the arm passes by, as large as it is to keep from it: made when it is first asked for."""
+        if far not in self._surroundings:
+            self._surroundings[far] = self._enlarged(self._margin + (_FAR_M if far else 0.0))
+        return self._surroundings[far]
+
+    def _enlarged(self, margin: float) -> _Around:
+        """The object and all others, by so much larger than they were seen."""
+        others = self._seen_others
         full = standing(around(others, _COARSE_M, margin)) if len(others) else None
         if self._load is None:
             return _Around(None, full)
@@ -109,7 +118,7 @@ class Clearance:
             far: keep far from everything.
         """
         self.drive = drive
-        passed = (self._far if far else self._near).passed
+        passed = self._around(far=far).passed
         self._set(Solid(_LOAD, passed, np.eye(4)) if passed is not None else None, far=far)
 
     def approach(self) -> None:
@@ -154,7 +163,7 @@ class Clearance:
         if load is not None and not over_table:
             allowed |= {(_LOAD, _TABLE_NAME)}
         solids = [Solid(_TABLE_NAME, _TABLE, np.eye(4))]
-        others = (self._far if far else self._near).others
+        others = self._around(far=far).others
         if others is not None:
             solids.append(Solid(_OTHERS, others, np.eye(4)))
         if load is not None:
@@ -170,15 +179,16 @@ class Clearance:
 
     def room(self, T: Float) -> bool:
         """Say whether the object would touch no other, a (4, 4) motion away from where it was seen."""
-        others = self._near.others
+        others = self._around(far=False).others
         return others is None or not any_inside(others, transform_points(T, self.points))
 
     def fits(self, T: Float) -> bool:
         """Say whether the object, as large as it is carried, would touch no other a (4, 4) motion away."""
-        if self._load is None or self._near.others is None:
+        others = self._around(far=False).others
+        if self._load is None or others is None:
             return True
         corners = self._load.centers[:, None] + self._load.side / 2 * _CORNERS
-        return not any_inside(self._near.others, transform_points(T, corners.reshape(-1, 3)))
+        return not any_inside(others, transform_points(T, corners.reshape(-1, 3)))
 
     def free(self, q: Float) -> bool:
         """Say whether arm and load touch nothing at (J,) joint angles."""

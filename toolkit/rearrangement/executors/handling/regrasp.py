@@ -43,6 +43,8 @@ class Step:
 def steps_of(planner: ArmPlanner, request: PickPlace, q: Float, seed: int) -> tuple[Step, ...] | Failure:
     """One step to where an object is to be put, or two where no single grasp serves both places.
 
+    The planner then sees the object where the request has it.
+
     Args:
         planner: of the arm.
         request: the move.
@@ -52,7 +54,9 @@ def steps_of(planner: ArmPlanner, request: PickPlace, q: Float, seed: int) -> tu
     way = planner.plan(request, q, seed)
     if isinstance(way, Way):
         return (Step(request.T_place_pick, way),)
-    return _through_a_third_place(planner, request, q, seed) or way
+    steps = _through_a_third_place(planner, request, q, seed)
+    planner.see(request)  # not at a place that was tried
+    return steps or way
 
 
 def _through_a_third_place(planner: ArmPlanner, request: PickPlace, q: Float, seed: int) -> tuple[Step, Step] | None:
